@@ -7,7 +7,7 @@
 //
 // adam_step moves the rows that have a gradient: the 14 small columns of all fields but the
 // harmonics (m, v: real[N, 14], in the order of SMALL_...), and the active harmonics (m_rest,
-// v_rest: moment[N, stride]). rows: uint[V], the row of each gradient; NO_ROW is skipped: row and
+// v_rest: real[N, SH_STRIDE]). rows: uint[V], the row of each gradient; NO_ROW is skipped: row and
 // moments stay for this step. Elementwise, one writer each. Nothing moves once a frame has failed.
 //
 // Dense Adam moves all other rows as well, with g = 0. Nobody reads them, so adam_catch_up does it
@@ -29,9 +29,6 @@
 #include "harmonics.h"
 #include "vector.h"
 #include "counts.h"
-#ifndef HALF_MOMENTS
-#error "HALF_MOMENTS must be 0 or 1"
-#endif
 #define SH_STRIDE (3 * SH_REST)
 #define SH_COLUMNS (3 * SH_ACTIVE)
 enum {
@@ -44,15 +41,6 @@ enum { // columns of coefficients: C of the fields in their order
     LAG_D
 };
 typedef char every_term_has_a_column[LAG_D + 1 == LAG_TERMS ? 1 : -1];
-
-#if HALF_MOMENTS
-#define MOMENT_STRIDE ((SH_STRIDE + 3) / 4 * 4)
-typedef ushort moment;
-#else
-#define MOMENT_STRIDE SH_STRIDE
-typedef real moment;
-#endif
-#include "moments.h"
 
 // What a row has missed: by what its moments decay, and epsilon D / C. keeps: whether the moments
 // are stored, too.
@@ -77,12 +65,6 @@ typedef struct {
         return parameter - distance * first / (sqrt(second) + epsilon);                            \
     }
 DEFINE_MOVES()
-
-// The number that decides how a moment is rounded: of an element of the harmonics in a step.
-inline uint rounding_seed(uint row, uint column, uint now)
-{
-    return (row * MOMENT_STRIDE + column) ^ now * 0x9E3779B9u;
-}
 
 // Add a step to row i of the sums of C and D. rates: of the fields in the order of LAG_..., divided
 // by 1 - beta1^t, and twice 1 / (1 - beta1^t).
@@ -186,8 +168,8 @@ inline Lag lag_of(uint last, uint now, bool keeps, __global const real *coeffici
     __global real *restrict positions, __global real *restrict sh_constant,                        \
     __global real *restrict sh_rest, __global real *restrict opacity_logits,                       \
     __global real *restrict log_scales, __global real *restrict quaternions,                       \
-    __global real *restrict m, __global real *restrict v, __global moment *restrict m_rest,        \
-    __global moment *restrict v_rest
+    __global real *restrict m, __global real *restrict v, __global real *restrict m_rest,          \
+    __global real *restrict v_rest
 #if FORM_ITEM
 #include "item/adam.cl"
 #else

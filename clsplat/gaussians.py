@@ -257,8 +257,9 @@ def mean_neighbour_distance(points: NDArray[np.floating], neighbours: int
     distance, inverse, least = _distances(points, neighbours)
     if distance.shape[1] < neighbours:
         raise InputError(
-            f"the sparse model has {len(distance)} distinct points, --sphere-neighbours "
-            f"{neighbours} needs at least {neighbours + 1}; use a smaller number or --no-sphere")
+            f"the sparse model has {len(distance)} distinct points, sphere_neighbours = "
+            f"{neighbours} needs at least {neighbours + 1}; give a smaller number or "
+            "sphere = false")
     size: NDArray[np.float64] = np.maximum(distance.mean(axis=1), least)
     return size[inverse]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from clsplat.config import option as declared
 from clsplat.config import toml
-from clsplat.config.option import AUTO, MOST_STEPS, flag_name, option, options_of
+from clsplat.config.option import AUTO, MOST_STEPS, option, options_of, shown_name
 from clsplat.densify.options import GrowthOptions, SphereOptions
 from clsplat.errors import InputError
 from clsplat.io.scenes.options import SceneOptions
@@ -72,7 +72,7 @@ class RunOptions:
                                    words={AUTO: AUTO, "end": 0}, minimum=1)
     eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps, such as "
                                       "500,2000", affects="time", words={"none": ()}, minimum=1,
-                                      expects="a list of steps, each at least 1")
+                                      expects="a list of steps, each at least 1", flag=False)
     eval_every: int = option(AUTO, "Run", "steps between evaluations on the held-out views; auto: "
                              "eight evaluations, fewer where they are slow; end: only at the end",
                              affects="time", main=True, words={AUTO: AUTO, "end": 0}, minimum=1)
@@ -80,7 +80,7 @@ class RunOptions:
                         "compared with the held-out photos as well; needs `pip install "
                         "onnxruntime`", affects="nothing", words={"none": ""})
     snapshots: bool = option(False, "Run", "keep the model at the end of each level, for `clsplat "
-                             "render --lod`", affects="time", part="levels")
+                             "render --lod`", affects="time", part="levels", flag=False)
     coarse: bool = option(False, "Run", "train the coarse model of a city: photos at half size, "
                           "unless -r says otherwise", sets={True: {
                               "downscale": 2.0,
@@ -94,7 +94,7 @@ class DeviceOptions:
     device: str = option("auto", "Device", "auto, cpu, gpu, a number of `clsplat devices`, or part "
                          "of a name", affects="nothing", main=True)
     form: str = option("auto", "Device", "form of the kernels: item suits CPUs, group suits GPUs; "
-                       "they agree to rounding", choices=("auto", "item", "group"))
+                       "they agree to rounding", choices=("auto", "item", "group"), flag=False)
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _check_agreement(options: TrainOptions, given: dict[str, Any]) -> None:
                 known, options.schedule):
             serving = [name for name in OURS if serves(known, name)]
             raise InputError(
-                f"{flag_name(known.name)}: has no effect with --schedule {options.schedule}; leave "
+                f"{shown_name(known)}: has no effect with --schedule {options.schedule}; leave "
                 f"it out, or use --schedule {' or '.join(serving)}")
     if options.poses == "on" and options.reproject != "off":
         raise InputError("--poses on: does not go with --reproject, which compares photos by the "

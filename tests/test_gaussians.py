@@ -66,8 +66,8 @@ def test_too_few_points():
     assert mean_inverse_distance(pair) == 0.2
     with pytest.raises(InputError) as caught:
         mean_neighbour_distance(pair, 2)
-    assert str(caught.value) == ("the sparse model has 2 distinct points, --sphere-neighbours 2 "
-                                 "needs at least 3; use a smaller number or --no-sphere")
+    assert str(caught.value) == ("the sparse model has 2 distinct points, sphere_neighbours = 2 "
+                                 "needs at least 3; give a smaller number or sphere = false")
     for distances in (lambda p: mean_neighbour_distance(p, 1), neighbour_distance,
                       mean_inverse_distance):
         with pytest.raises(InputError, match="3 points all lie at one place"):

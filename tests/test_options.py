@@ -8,15 +8,16 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from clsplat.cli.flags import given_options, training_flags
-from clsplat.cli.sections import SectionedCommand
-from clsplat.config.option import expected, flag_name
+from clsplat.cli.flags import TrainingCommand, given_options, training_flags
+from clsplat.cli.main import main
+from clsplat.config.option import expected, flag_name, shown_name
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions, checked, from_toml, resolve, seconds_of, serves
 from clsplat.schedule import OURS, schedule_of
 from clsplat.schedule.sig import PAPER, RELEASE
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
+FLAGS = [name for name, field in FIELDS.items() if field.metadata["flag"]]
 
 
 @pytest.fixture
@@ -32,7 +33,7 @@ def invoke(*arguments):
     """(what `given_options` finds in a command line, click's result)."""
     found = {}
 
-    @click.command(cls=SectionedCommand)
+    @click.command(cls=TrainingCommand)
     @training_flags
     @click.pass_context
     def command(ctx, **_):
@@ -74,9 +75,15 @@ def serving(name):
 
 
 @pytest.mark.parametrize("name", FIELDS)
-def test_every_option_is_a_flag_and_a_key_that_agree(name, toml):
+def test_an_option_s_flag_if_it_has_one_and_its_key_agree(name, toml):
     value, arguments = another(FIELDS[name])
-    assert parse(*arguments)[0] == {name: value}
+    if name in FLAGS:
+        assert parse(*arguments)[0] == {name: value}
+    else:
+        with pytest.raises(InputError) as caught:
+            invoke(*arguments)
+        assert str(caught.value) == (f"{arguments[0]}: is a key of the file of --config and no "
+                                     f"flag; write {name} = VALUE there")
     written = {True: "true", False: "false"}.get(value) if isinstance(value, bool) else (
         f'"{value}"' if isinstance(value, str) else str(list(value))
         if isinstance(value, tuple) else str(value))
@@ -107,11 +114,18 @@ def test_flags_win_over_the_file_and_the_file_over_defaults():
 
 def test_help_has_each_group_once_with_defaults():
     text = parse("--help-all")[1]
-    for heading in dict.fromkeys(field.metadata["group"] for field in FIELDS.values()):
+    for heading in dict.fromkeys(FIELDS[name].metadata["group"] for name in FLAGS):
         assert text.count(f"\n{heading}:\n") == 1
-    assert "[default: 1000]" in " ".join(text.split())
+    assert "[default: 1600]" in " ".join(text.split())
     for name in FIELDS:
-        assert flag_name(name) in text
+        assert (f"{flag_name(name)} " in text.replace("/", " ")) == (name in FLAGS), name
+        assert (f"\n  {name} " in text) == (name not in FLAGS), "keys of --config"
+
+
+def test_a_training_has_at_most_42_flags():
+    shared = {"--help", "--help-all", "--traceback"}
+    assert sum(option.opts[-1] not in shared for option in main.commands["train"].params
+               if isinstance(option, click.Option)) <= 42
 
 
 @pytest.mark.parametrize("text, message", [
@@ -173,11 +187,6 @@ def test_elements_and_infinities_are_refused(text, wish, toml):
     key = text.split(" ")[0].replace("_", "-")
     assert str(caught.value).startswith(f"{path}: option '{key}' expects {wish}")
     assert ", got " in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_an_infinite_flag_is_refused():
-    with pytest.raises(InputError, match="option 'downscale' expects a finite number"):
-        resolve({}, {"downscale": float("inf")})
 
 
 def test_lists_of_a_run_s_record_become_tuples():
@@ -271,7 +280,7 @@ def test_an_option_of_another_schedule_is_refused(name, schedule):
     with pytest.raises(InputError) as caught:
         resolve({}, {"schedule": schedule, name: value})
     assert str(caught.value) == (
-        f"{flag_name(name)}: has no effect with --schedule {schedule}; leave it out, or use "
+        f"{shown_name(field)}: has no effect with --schedule {schedule}; leave it out, or use "
         f"--schedule {' or '.join(only)}")
     assert getattr(resolve({}, {"schedule": schedule, name: field.default}), name) == field.default
 
@@ -308,9 +317,7 @@ def test_levels_that_are_no_factors(levels):
 @pytest.mark.parametrize("arguments, expected", [
     (["--levels", "4,2,1"], {"levels": (4.0, 2.0, 1.0)}),
     (["--levels", "4", "--levels", "2.5,1"], {"levels": (4.0, 2.5, 1.0)}),
-    (["--eval-at", "7,30"], {"eval_at": (7, 30)}),
-    (["--eval-at", "30", "--eval-at", "7"], {"eval_at": (30, 7)}),
-    (["--eval-at", "5", "--levels", "2, 1"], {"eval_at": (5,), "levels": (2.0, 1.0)})])
+    (["--levels", "2, 1"], {"levels": (2.0, 1.0)})])
 def test_lists_have_commas_or_come_in_parts(arguments, expected):
     found = parse(*arguments)[0]
     assert found == expected
@@ -319,8 +326,7 @@ def test_lists_have_commas_or_come_in_parts(arguments, expected):
 
 
 @pytest.mark.parametrize("flag, text", [
-    ("--levels", "4;2"), ("--levels", "4,,1"), ("--levels", ""), ("--levels", "a"),
-    ("--eval-at", "2.5"), ("--eval-at", "7,")])
+    ("--levels", "4;2"), ("--levels", "4,,1"), ("--levels", ""), ("--levels", "a")])
 def test_what_is_no_list_is_refused(flag, text):
     with pytest.raises(InputError) as caught:
         invoke(flag, text)
@@ -366,7 +372,8 @@ WORDS = [(name, word) for name, field in FIELDS.items() for word in field.metada
 @pytest.mark.parametrize("name, word", WORDS)
 def test_a_word_is_a_flag_a_key_and_a_record_that_agree(name, word, toml):
     meaning = FIELDS[name].metadata["words"][word]
-    assert parse(flag_name(name), word)[0] == {name: meaning}
+    if name in FLAGS:
+        assert parse(flag_name(name), word)[0] == {name: meaning}
     assert from_toml(toml(f'{name} = "{word}"')) == {name: meaning}
     assert checked("options.json", name, word) == meaning
     written = json.loads(json.dumps(meaning))  # what is recorded, and what users had before
@@ -374,13 +381,9 @@ def test_a_word_is_a_flag_a_key_and_a_record_that_agree(name, word, toml):
     assert word in expected(FIELDS[name])
 
 
-def test_few_words_are_enough():
-    assert {word for _, word in WORDS} == {"auto", "none", "end", "all"}
-
-
 def test_help_shows_the_word_of_a_default():
     text = " ".join(parse("--help-all")[1].split())
-    for words in ("--max-gaussians [none|INTEGER]", "--near [auto|FLOAT]", "[default: none]"):
+    for words in ("--max-gaussians [none|INTEGER]", "--visits [auto|all|FLOAT]", "[default: none]"):
         assert words in text
     assert "0:" not in text
 

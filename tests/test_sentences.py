@@ -25,7 +25,8 @@ try:
 except ImportError:  # Python 3.10
     import tomli as tomllib
 
-DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md"))
+DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")
+              if path.parent.name != "notebook")
 # what users read: they may have no checkout
 USER_PAGES = ("README.md", "CHANGELOG.md", *(page for page in DOCS if "notebook" not in page))
 PAGES = ("CONTRIBUTING.md", *USER_PAGES, *(page for page in DOCS if page not in USER_PAGES))
@@ -317,7 +318,7 @@ def test_what_is_untrue_is_noticed(text, said):
 
 
 @pytest.mark.parametrize("text", [
-    "`clsplat train SCENE -n 10 --schedule sig -o out/run`", "`--no-sphere`", "`tools/test`",
+    "`clsplat train SCENE -n 10 --schedule sig -o out/run`", "`--no-antialiased`", "`tools/test`",
     "`CLSPLAT_DEVICE=0 dask worker tcp://x --nthreads 1`", "`pip install '.[cpu]'`",
     "`clsplat bench render --form group`", "`x < 3`", "`--levels 4,2,1`"])
 def test_what_is_true_passes(text):

@@ -92,7 +92,8 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
                     begin + live_places[place], column[k])];
                 parameter[k] = OF_FIELD(column[k], positions, sh_constant, opacity_logits,
                                         log_scales, quaternions)[place_in_field(row[k], column[k])];
-                load_reals1(m + moments, v + moments, own_m + k, own_v + k);
+                own_m[k] = m[moments];
+                own_v[k] = v[moments];
             }
 #pragma unroll
             for (uint k = 0; k < SMALL_AT_ONCE; k++) {
@@ -105,7 +106,8 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
                          quaternions)[place_in_field(row[k], column[k])] =
                     stepped(parameter[k], OF_FIELD(column[k], 1, share, 1, 1, 1) * g[k], rate,
                             correction, own_m + k, own_v + k);
-                store_reals1(own_m[k], own_v[k], 0, m + moments, v + moments);
+                m[moments] = own_m[k];
+                v[moments] = own_v[k];
             }
         }
 #if DEGREE > 0
@@ -123,10 +125,11 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
                 const uint place = element / SH_COLUMNS;
                 row[k] = live_rows[place];
                 column[k] = element % SH_COLUMNS;
-                const ulong moments = (ulong)row[k] * MOMENT_STRIDE + column[k];
+                const ulong moments = (ulong)row[k] * SH_STRIDE + column[k];
                 __local const real *own = shared + place * (SH_ACTIVE + 3);
                 parameter[k] = sh_rest[(ulong)row[k] * SH_STRIDE + column[k]];
-                LOAD_MOMENTS(1)(m_rest + moments, v_rest + moments, own_m + k, own_v + k);
+                own_m[k] = m_rest[moments];
+                own_v[k] = v_rest[moments];
                 g[k] = rank_one
                            ? own[column[k] / 3] * own[SH_ACTIVE + column[k] % 3]
                            : grad_sh_rest[(begin + live_places[place]) * SH_STRIDE + column[k]];
@@ -135,11 +138,11 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
             for (uint k = 0; k < REST_AT_ONCE; k++) {
                 if (i + k * size >= others)
                     continue;
-                const ulong moments = (ulong)row[k] * MOMENT_STRIDE + column[k];
+                const ulong moments = (ulong)row[k] * SH_STRIDE + column[k];
                 sh_rest[(ulong)row[k] * SH_STRIDE + column[k]] =
                     stepped(parameter[k], g[k], rate_sh_rest, correction, own_m + k, own_v + k);
-                STORE_MOMENTS(1)(own_m[k], own_v[k], rounding_seed(row[k], column[k], now),
-                                 m_rest + moments, v_rest + moments);
+                m_rest[moments] = own_m[k];
+                v_rest[moments] = own_v[k];
             }
         }
 #endif
@@ -206,7 +209,8 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
                 const ulong moments = (ulong)row * SMALL_COLUMNS + column[k];
                 parameter[k] = OF_FIELD(column[k], positions, sh_constant, opacity_logits,
                                         log_scales, quaternions)[place_in_field(row, column[k])];
-                load_reals1(m + moments, v + moments, first + k, second + k);
+                first[k] = m[moments];
+                second[k] = v[moments];
             }
 #pragma unroll
             for (uint k = 0; k < SMALL_AT_ONCE; k++) {
@@ -220,9 +224,10 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
                 OF_FIELD(column[k], positions, sh_constant, opacity_logits, log_scales,
                          quaternions)[place_in_field(row, column[k])] =
                     coasted(parameter[k], own[DUE_EPSILON], distance, first[k], second[k]);
-                if (keeps)
-                    store_reals1(first[k] * own[DUE_DECAY1], second[k] * own[DUE_DECAY2], 0,
-                                 m + moments, v + moments);
+                if (keeps) {
+                    m[moments] = first[k] * own[DUE_DECAY1];
+                    v[moments] = second[k] * own[DUE_DECAY2];
+                }
             }
         }
 #if DEGREE > 0
@@ -239,23 +244,24 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
                 place[k] = element / SH_COLUMNS;
                 column[k] = element % SH_COLUMNS;
                 const uint row = due_rows[place[k]];
-                const ulong moments = (ulong)row * MOMENT_STRIDE + column[k];
+                const ulong moments = (ulong)row * SH_STRIDE + column[k];
                 parameter[k] = sh_rest[(ulong)row * SH_STRIDE + column[k]];
-                LOAD_MOMENTS(1)(m_rest + moments, v_rest + moments, first + k, second + k);
+                first[k] = m_rest[moments];
+                second[k] = v_rest[moments];
             }
 #pragma unroll
             for (uint k = 0; k < REST_AT_ONCE; k++) {
                 if (i + k * size >= others)
                     continue;
                 const uint row = due_rows[place[k]];
-                const ulong moments = (ulong)row * MOMENT_STRIDE + column[k];
+                const ulong moments = (ulong)row * SH_STRIDE + column[k];
                 __local const real *own = due_lags + place[k] * DUE_TERMS;
                 sh_rest[(ulong)row * SH_STRIDE + column[k]] = coasted(
                     parameter[k], own[DUE_EPSILON], own[LAG_SH_REST], first[k], second[k]);
-                if (keeps)
-                    STORE_MOMENTS(1)(first[k] * own[DUE_DECAY1], second[k] * own[DUE_DECAY2],
-                                     rounding_seed(row, column[k], now), m_rest + moments,
-                                     v_rest + moments);
+                if (keeps) {
+                    m_rest[moments] = first[k] * own[DUE_DECAY1];
+                    v_rest[moments] = second[k] * own[DUE_DECAY2];
+                }
             }
         }
 #endif

@@ -5,32 +5,31 @@ DEFINE_MOVES(3)
 DEFINE_MOVES(4)
 DEFINE_MOVES(16)
 
-// `S` neighbouring columns at once, none is one. MOMENTS loads and stores them as reals or halves.
-#define DEFINE_UPDATE(NAME, S, MOMENT, LOAD, STORE, LOAD_MOMENTS, STORE_MOMENTS)                   \
-    inline void step_##NAME(real##S g, real rate, real correction, uint seed,                      \
-                            __global real *parameter, __global MOMENT *m, __global MOMENT *v)      \
+// NAME neighbouring columns at once, by the vector type of S; none is one.
+#define DEFINE_UPDATE(NAME, S, LOAD, STORE)                                                        \
+    inline void step_##NAME(real##S g, real rate, real correction, __global real *parameter,       \
+                            __global real *m, __global real *v)                                    \
     {                                                                                              \
-        real##S first, second;                                                                     \
-        LOAD_MOMENTS(m, v, &first, &second);                                                       \
+        real##S first = LOAD(0, m), second = LOAD(0, v);                                           \
         STORE(stepped##S(LOAD(0, parameter), g, rate, correction, &first, &second), 0, parameter); \
-        STORE_MOMENTS(first, second, seed, m, v);                                                  \
+        STORE(first, 0, m);                                                                        \
+        STORE(second, 0, v);                                                                       \
     }                                                                                              \
-    inline void coast_##NAME(Lag lag, real distance, uint seed, __global real *parameter,          \
-                             __global MOMENT *m, __global MOMENT *v)                               \
+    inline void coast_##NAME(Lag lag, real distance, __global real *parameter, __global real *m,   \
+                             __global real *v)                                                     \
     {                                                                                              \
-        real##S first, second;                                                                     \
-        LOAD_MOMENTS(m, v, &first, &second);                                                       \
+        real##S first = LOAD(0, m), second = LOAD(0, v);                                           \
         STORE(coasted##S(LOAD(0, parameter), lag.epsilon, distance, first, second), 0, parameter); \
-        if (lag.keeps)                                                                             \
-            STORE_MOMENTS(first * lag.decay1, second * lag.decay2, seed, m, v);                    \
+        if (lag.keeps) {                                                                           \
+            STORE(first * lag.decay1, 0, m);                                                       \
+            STORE(second * lag.decay2, 0, v);                                                      \
+        }                                                                                          \
     }
 
-DEFINE_UPDATE(real1, , real, LOAD_ONE, STORE_ONE, load_reals1, store_reals1)
-DEFINE_UPDATE(real3, 3, real, vload3, vstore3, load_reals3, store_reals3)
-DEFINE_UPDATE(real4, 4, real, vload4, vstore4, load_reals4, store_reals4)
-DEFINE_UPDATE(moment1, , moment, LOAD_ONE, STORE_ONE, LOAD_MOMENTS(1), STORE_MOMENTS(1))
-DEFINE_UPDATE(moment4, 4, moment, vload4, vstore4, LOAD_MOMENTS(4), STORE_MOMENTS(4))
-DEFINE_UPDATE(moment16, 16, moment, vload16, vstore16, LOAD_MOMENTS(16), STORE_MOMENTS(16))
+DEFINE_UPDATE(1, , LOAD_ONE, STORE_ONE)
+DEFINE_UPDATE(3, 3, vload3, vstore3)
+DEFINE_UPDATE(4, 4, vload4, vstore4)
+DEFINE_UPDATE(16, 16, vload16, vstore16)
 
 // CALL(WIDTH, LOAD) for all columns, of which the next is `column`.
 #define EACH_WIDTH(CALL)                                                                           \
@@ -43,13 +42,13 @@ DEFINE_UPDATE(moment16, 16, moment, vload16, vstore16, LOAD_MOMENTS(16), STORE_M
         CALL(1, LOAD_ONE);
 
 inline void prefetch_row(uint row, __global const real *m, __global const real *v,
-                         __global const moment *m_rest, __global const moment *v_rest)
+                         __global const real *m_rest, __global const real *v_rest)
 {
     PREFETCH_ROW(m, row, SMALL_COLUMNS);
     PREFETCH_ROW(v, row, SMALL_COLUMNS);
 #if DEGREE > 0
-    PREFETCH_ROW(m_rest, row, MOMENT_STRIDE);
-    PREFETCH_ROW(v_rest, row, MOMENT_STRIDE);
+    PREFETCH_ROW(m_rest, row, SH_STRIDE);
+    PREFETCH_ROW(v_rest, row, SH_STRIDE);
 #endif
 }
 // Parameters and moments of a row.
@@ -61,9 +60,8 @@ inline void prefetch_row(uint row, __global const real *m, __global const real *
     }
 
 #define STEP(WIDTH, LOAD)                                                                          \
-    step_moment##WIDTH(LOAD(0, g + column), rate_sh_rest, correction,                              \
-                       rounding_seed(row, column, now), sh_rest + to + column,                     \
-                       m_rest + moments + column, v_rest + moments + column)
+    step_##WIDTH(LOAD(0, g + column), rate_sh_rest, correction, sh_rest + to + column,             \
+                 m_rest + to + column, v_rest + to + column)
 __kernel void adam_step(ADAM_STEP_ARGUMENTS)
 {
     if (counts[COUNT_FAILED])
@@ -85,16 +83,16 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
             continue;
         __global real *own_m = m + (ulong)row * SMALL_COLUMNS;
         __global real *own_v = v + (ulong)row * SMALL_COLUMNS;
-        step_real3(vload3(i, grad_positions), rate_positions, correction, 0, positions + 3ul * row,
-                   own_m + SMALL_POSITION, own_v + SMALL_POSITION);
-        step_real3(share * vload3(i, grad_colours), rate_sh_constant, correction, 0,
-                   sh_constant + 3ul * row, own_m + SMALL_CONSTANT, own_v + SMALL_CONSTANT);
-        step_real1(grad_opacity_logits[i], rate_opacity_logits, correction, 0, opacity_logits + row,
-                   own_m + SMALL_OPACITY, own_v + SMALL_OPACITY);
-        step_real3(vload3(i, grad_log_scales), rate_log_scales, correction, 0,
-                   log_scales + 3ul * row, own_m + SMALL_SCALE, own_v + SMALL_SCALE);
-        step_real4(vload4(i, grad_quaternions), rate_quaternions, correction, 0,
-                   quaternions + 4ul * row, own_m + SMALL_TURN, own_v + SMALL_TURN);
+        step_3(vload3(i, grad_positions), rate_positions, correction, positions + 3ul * row,
+               own_m + SMALL_POSITION, own_v + SMALL_POSITION);
+        step_3(share * vload3(i, grad_colours), rate_sh_constant, correction,
+               sh_constant + 3ul * row, own_m + SMALL_CONSTANT, own_v + SMALL_CONSTANT);
+        step_1(grad_opacity_logits[i], rate_opacity_logits, correction, opacity_logits + row,
+               own_m + SMALL_OPACITY, own_v + SMALL_OPACITY);
+        step_3(vload3(i, grad_log_scales), rate_log_scales, correction,
+               log_scales + 3ul * row, own_m + SMALL_SCALE, own_v + SMALL_SCALE);
+        step_4(vload4(i, grad_quaternions), rate_quaternions, correction,
+               quaternions + 4ul * row, own_m + SMALL_TURN, own_v + SMALL_TURN);
 #if DEGREE > 0
         real g[SH_COLUMNS];
         if (rank_one) {
@@ -106,7 +104,7 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
         } else
             for (uint k = 0; k < SH_COLUMNS; k++)
                 g[k] = grad_sh_rest[i * SH_STRIDE + k];
-        const ulong to = (ulong)row * SH_STRIDE, moments = (ulong)row * MOMENT_STRIDE;
+        const ulong to = (ulong)row * SH_STRIDE;
         EACH_WIDTH(STEP)
 #endif
     }
@@ -119,19 +117,18 @@ inline void coast_small(uint row, Lag lag, __global const real *c, __global real
 {
     m += (ulong)row * SMALL_COLUMNS;
     v += (ulong)row * SMALL_COLUMNS;
-    coast_real3(lag, c[LAG_POSITIONS], 0, positions + 3ul * row, m + SMALL_POSITION,
-                v + SMALL_POSITION);
-    coast_real3(lag, c[LAG_SH_CONSTANT], 0, sh_constant + 3ul * row, m + SMALL_CONSTANT,
-                v + SMALL_CONSTANT);
-    coast_real1(lag, c[LAG_OPACITY], 0, opacity_logits + row, m + SMALL_OPACITY, v + SMALL_OPACITY);
-    coast_real3(lag, c[LAG_SCALES], 0, log_scales + 3ul * row, m + SMALL_SCALE, v + SMALL_SCALE);
-    coast_real4(lag, c[LAG_TURNS], 0, quaternions + 4ul * row, m + SMALL_TURN, v + SMALL_TURN);
+    coast_3(lag, c[LAG_POSITIONS], positions + 3ul * row, m + SMALL_POSITION,
+            v + SMALL_POSITION);
+    coast_3(lag, c[LAG_SH_CONSTANT], sh_constant + 3ul * row, m + SMALL_CONSTANT,
+            v + SMALL_CONSTANT);
+    coast_1(lag, c[LAG_OPACITY], opacity_logits + row, m + SMALL_OPACITY, v + SMALL_OPACITY);
+    coast_3(lag, c[LAG_SCALES], log_scales + 3ul * row, m + SMALL_SCALE, v + SMALL_SCALE);
+    coast_4(lag, c[LAG_TURNS], quaternions + 4ul * row, m + SMALL_TURN, v + SMALL_TURN);
 }
 
 #define COAST(WIDTH, LOAD)                                                                         \
-    coast_moment##WIDTH(lag, c[LAG_SH_REST], rounding_seed(row, column, now),                      \
-                        sh_rest + to + column, m_rest + moments + column,                          \
-                        v_rest + moments + column)
+    coast_##WIDTH(lag, c[LAG_SH_REST], sh_rest + to + column, m_rest + to + column,                \
+                  v_rest + to + column)
 #define LISTED 256 // rows that are tested before any of them moves, so that it can be asked for
 __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
 {
@@ -170,7 +167,7 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
             coast_small(row, lag, c, positions, sh_constant, opacity_logits, log_scales,
                         quaternions, m, v);
 #if DEGREE > 0
-            const ulong to = (ulong)row * SH_STRIDE, moments = (ulong)row * MOMENT_STRIDE;
+            const ulong to = (ulong)row * SH_STRIDE;
             EACH_WIDTH(COAST)
 #endif
             if (keeps)

@@ -100,8 +100,8 @@ def _report(bench: Bench, family: str, cases: Cases, size: Mapping[str, object])
 
 
 def adam(city: CityFrame) -> Cases:
-    """Adam: a step, and how rows that lag catch up, for several shares of visible rows, with
-    moments as floats and as halves; and the numpy engine."""
+    """Adam: a step, and how rows that lag catch up, for several shares of visible rows;
+    and the numpy engine."""
     real, count = city.device.real.itemsize, city.count
     for share in (0.05, 0.25, 1.0):
         gradients = random_gradients(city.device, count, share)
@@ -109,27 +109,23 @@ def adam(city: CityFrame) -> Cases:
         is_other = np.ones(count, np.uint32)
         is_other[gradients.rows.download()] = 0
         others, size = city.device.upload(is_other), {"visible": seen}
-        for moments in ("float", "half"):
-            less = (moments == "half") * seen * 4 * USED["sh_rest"] * (real - 2)
-            # parameters and moments are read and written; 20 reals of gradients and what is masked
-            engine = DeviceAdam(city.device, city.rows, False, moments)
-            yield Case(f"step, {moments}", partial(engine.step, city.rows, gradients, 1, RATES,
-                                                   USED),
-                       seen * (6 * WIDTH + 20) * real - less, 14 * seen * WIDTH, size)
-            yield Case(f"catch up, {moments}", partial(_catch_up, _lazy(city, moments), city,
-                                                       others),
-                       6 * WIDTH * seen * real - less + 12 * count, 14 * seen * WIDTH, size)
+        # parameters and moments are read and written; 20 reals of gradients and what is masked
+        engine = DeviceAdam(city.device, city.rows)
+        yield Case("step", partial(engine.step, city.rows, gradients, 1, RATES, USED),
+                   seen * (6 * WIDTH + 20) * real, 14 * seen * WIDTH, size)
+        yield Case("catch up", partial(_catch_up, _lazy(city), city, others),
+                   6 * WIDTH * seen * real + 12 * count, 14 * seen * WIDTH, size)
         for dense in (False, True):
             host = NumpyAdam(city.device, city.rows, dense)
             yield Case(f"numpy {'dense' if dense else 'sparse'}",
                        partial(host.step, city.rows, gradients, 1, RATES, USED), size=size)
-    yield Case("catch up by camera", partial(_catch_up, _lazy(city, "float"), city, None),
+    yield Case("catch up by camera", partial(_catch_up, _lazy(city), city, None),
                (6 * WIDTH * city.seen + 7 * count) * real, 14 * city.seen * WIDTH)
 
 
-def _lazy(city: CityFrame, moments: str) -> DeviceAdam:
+def _lazy(city: CityFrame) -> DeviceAdam:
     """An engine whose sums by which rows catch up are not zero."""
-    engine = DeviceAdam(city.device, city.rows, True, moments)
+    engine = DeviceAdam(city.device, city.rows, True)
     engine.load_lag({**engine.lag(), "coefficients": np.full((CATCH_UP_EVERY, LAG_TERMS), 1e-9)}, 0)
     return engine
 

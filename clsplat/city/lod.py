@@ -181,7 +181,7 @@ class Detail:
         folder, snapshots = run.folder, run.folder.snapshots()
         if not snapshots or not folder.has_model:
             raise InputError(f"{run.path}: has no levels of detail; train it to its end with "
-                             "--snapshots, and more than one of --levels")
+                             "snapshots = true, and more than one of --levels")
         models = [read_ply(path, scene.offset) for _, path in snapshots]
         models.append(folder.load_model(scene.offset))
         city = CityFolder(run.path)

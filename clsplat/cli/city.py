@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clsplat.city.sharing import CORES_SHARING, MOST_SHARING, blocks_sharing, most_sharing
-from clsplat.cli.flags import Parsed, TrainingCommand, flags_of, given_options, training_flags
+from clsplat.cli.flags import (
+    Parsed,
+    TrainingCommand,
+    config_options,
+    flags_of,
+    given_options,
+    training_flags,
+)
 from clsplat.cli.sections import SectionedCommand, SectionedOption
 from clsplat.cli.train import ending
 from clsplat.config.option import AUTO, is_auto
@@ -80,7 +87,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int |
     """
     from clsplat.distribute import Children, Workers, check_scheduler, check_workers
     from clsplat.options import resolve
-    given = given_options(ctx)
+    given = {**config_options(ctx), **given_options(ctx)}
     devices = _devices(given.pop("device", ""), workers, scheduler)
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
     if workers is None and scheduler:

@@ -21,6 +21,7 @@ from clsplat.config.option import (
     kind_of,
     options_of,
     parsed,
+    shown_default,
 )
 from clsplat.config.toml import table
 from clsplat.errors import InputError
@@ -112,10 +113,18 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # generic only since cl
                              f"{expected(self.option)}") from None
 
 
-def flags_of(kind: type) -> Callable[[Command], Command]:
-    """A decorator that adds a flag for each option of a dataclass, in order."""
+def flags_of(kind: type, every: bool = False) -> Callable[[Command], Command]:
+    """A decorator that adds a flag for each option of a dataclass that is one, in order.
+
+    Parameters
+    ----------
+    kind : dataclass of options.
+    every : whether the other options become flags as well, for experiments.
+    """
     def decorate(command: Command) -> Command:
         for option in reversed(options_of(kind)):
+            if not (every or option.metadata["flag"]):
+                continue
             names, settings = _flag(option)
             command = click.option(*names, cls=SectionedOption, **settings)(command)
         return command
@@ -134,11 +143,24 @@ class TrainingCommand(SectionedCommand):
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
+            name = error.option_name.removeprefix("--").removeprefix("no-").replace("-", "_")
+            if name in {option.name for option in options_of(TrainOptions)}:
+                raise InputError(f"{error.option_name}: is a key of the file of --config and no "
+                                 f"flag; write {name} = VALUE there") from None
             if not others() or ctx.meta[SCHEDULES]:
                 raise
             raise click.UsageError(f"{error.format_message()} The flags of a schedule of another "
                                    f"package need --schedule {' or '.join(others())}.", ctx
                                    ) from None
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the sections; --help-all ends with the keys that are no flags."""
+        super().format_options(ctx, formatter)
+        if SHOW_ALL in ctx.meta:
+            with formatter.section("Other keys of the file of --config"):
+                formatter.write_dl([
+                    (option.name, f"{option.metadata['help']}  [default: {shown_default(option)}]")
+                    for option in options_of(TrainOptions) if not option.metadata["flag"]])
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """The parameters of the command; the same objects in each call."""
@@ -147,7 +169,8 @@ class TrainingCommand(SectionedCommand):
             kind = options_with(*(_loading_others() if every else ctx.meta.get(SCHEDULES, ())))
             own = {option.name for option in options_of(TrainOptions)}
             ctx.meta[key] = [SectionedOption(names, **settings) for names, settings in (
-                _flag(option) for option in options_of(kind) if option.name not in own)]
+                _flag(option) for option in options_of(kind)
+                if option.metadata["flag"] and option.name not in own)]
         return [*ctx.meta[key], *super().get_params(ctx)]
 
 
@@ -177,7 +200,13 @@ def _loading_others() -> list[str]:
     return loading
 
 
-training_flags = flags_of(TrainOptions)
+def training_flags(command: Command, every: bool = False) -> Command:
+    """Add the flags of a training, and the file of its other options; `every` as for `flags_of`."""
+    config = click.option("--config", type=click.Path(path_type=Path), cls=SectionedOption,
+                          section="Run", help="TOML file of options; flags override it.")
+    return flags_of(TrainOptions, every)(config(command))
+
+
 device_flag = click.option("--device", default="auto", show_default=True,
                            help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 moved_scene_flag = click.option("--scene", type=click.Path(path_type=Path),
@@ -248,11 +277,13 @@ def given_options(ctx: click.Context, kind: type | None = None) -> dict[str, Any
     """The options of a dataclass, by name, that the user gave as flags; None: of a training."""
     kind = kind or options_with(*ctx.meta.get(SCHEDULES, ()))
     return {option.name: ctx.params[option.name] for option in options_of(kind)
-            if ctx.get_parameter_source(option.name) is not ParameterSource.DEFAULT}
+            if option.name in ctx.params
+            and ctx.get_parameter_source(option.name) is not ParameterSource.DEFAULT}
 
 
-def config_options(ctx: click.Context, config: Path | None) -> dict[str, Any]:
+def config_options(ctx: click.Context) -> dict[str, Any]:
     """The options of a training, by name, in the file of --config."""
+    config: Path | None = ctx.params["config"]
     return from_toml(config, *ctx.meta[SCHEDULES]) if config else {}
 
 
@@ -260,16 +291,16 @@ def _flag(option: Option) -> tuple[list[str], dict[str, Any]]:
     """The names of an option's flag, and the settings of a SectionedOption."""
     meta, default, name = option.metadata, option.default, flag_name(option.name)
     kind, count = kind_of(option)
-    word = next((word for word, value in meta["words"].items() if value == default), None)
     text = meta["help"]
     if re.split("[:,]", text)[0] not in (*meta["words"], *meta["choices"], default):  # not a value
         text = text[0].upper() + text[1:]
     settings: dict[str, Any] = {"help": f"{text}.", "show_default": True,
-                                "default": default if word is None else word}
+                                "default": shown_default(option)}
     if kind is bool:
         name = f"{name}/--no-{name[2:]}"
     elif count is None:  # one list, or several that are joined
-        settings.update(type=Value(option), multiple=True, default=() if word is None else (word,))
+        word = shown_default(option)
+        settings.update(type=Value(option), multiple=True, default=() if word == () else (word,))
     elif count and not meta["separator"]:
         settings.update(type=kind, nargs=count, default=default)
     else:

@@ -29,8 +29,6 @@ NAME_WIDTH = 12  # characters
 @click.command(cls=TrainingCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
 @training_flags
-@click.option("--config", type=click.Path(path_type=Path),
-              help="TOML file of options; flags override it.")
 @click.option("--photos", default="", help="Also forecast cities with these numbers of photos "
               "like those of SCENE, such as 1000,10000,100000.")
 @click.option("--margin", default=0.3, show_default=True,
@@ -44,7 +42,7 @@ NAME_WIDTH = 12  # characters
 @click.option("--steps-from", type=click.Path(path_type=Path), help="Forecast the time for the "
               "device of such a file, instead of timing steps here.")
 @click.pass_context
-def plan(ctx: click.Context, /, scene: Path, config: Path | None, photos: str, margin: float,
+def plan(ctx: click.Context, /, scene: Path, photos: str, margin: float,
          photo_size: tuple[int, int] | None, workers: int, steps_to: Path | None,
          steps_from: Path | None, **_options: object) -> None:
     """Forecast the decisions, memory and time of a training.
@@ -62,7 +60,7 @@ def plan(ctx: click.Context, /, scene: Path, config: Path | None, photos: str, m
     from clsplat.options import resolve
     from clsplat.partition.options import PartitionOptions
     from clsplat.training.photos import size_note
-    options = resolve(config_options(ctx, config), given_options(ctx))
+    options = resolve(config_options(ctx), given_options(ctx))
     counts, margin = _numbers(photos), PartitionOptions(margin=margin).margin
     known = MeasuredSteps.read(steps_from) if steps_from else None
     busy, progress = None if known else load(), Progress()

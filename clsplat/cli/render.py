@@ -21,7 +21,7 @@ from clsplat.errors import InputError
 @click.option("--beside", is_flag=True, help="Put each render beside its photo.")
 @click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of detail; needs a "
               "city with a tree (`clsplat merge --tree`), or a run that was trained with "
-              "--snapshots.")
+              "snapshots = true.")
 @streaming_flags
 @device_flag
 @click.pass_context

@@ -36,8 +36,6 @@ FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
 @training_flags
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), **FOLDER,
               help="Folder of the run: options, metrics, checkpoints, point_cloud.ply.")
-@click.option("--config", type=click.Path(path_type=Path), **FOLDER,
-              help="TOML file of options; flags override it.")
 @click.option("--up", nargs=3, type=FiniteRange(), **FOLDER, help="X Y Z: the direction in the "
               "scene that points up; default: that of the scene's files, or estimated from the "
               "cameras and points.")
@@ -56,7 +54,7 @@ FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
 @click.option("--log-level", type=click.Choice(LOG_LEVELS), default="warning", show_default=True,
               help="The least severe log messages to show.")
 @click.pass_context
-def train(ctx: click.Context, /, scene: Path | None, output: Path, config: Path | None,
+def train(ctx: click.Context, /, scene: Path | None, output: Path,
           up: tuple[float, float, float] | None, resume: bool, overwrite: bool,
           schedules: str | None, seeds: int, view: bool, quiet: bool,
           log_level: str, **_options: object) -> None:
@@ -68,12 +66,12 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path, config: Path 
     were used.
     """
     logging.basicConfig(level=log_level.upper(), format="%(levelname)s %(name)s: %(message)s")
-    for given, name in ((overwrite, "--overwrite"), (config, "--config"), (up, "--up")):
-        if resume and given:
-            raise InputError(f"{name}: cannot be used with --resume, which continues the run as it "
-                             "was; leave one of them out")
+    for name in ("overwrite", "config", "up"):
+        if resume and ctx.params[name]:
+            raise InputError(f"{flag_name(name)}: cannot be used with --resume, which continues "
+                             "the run as it was; leave one of them out")
     flags = given_options(ctx)
-    values = config_options(ctx, config)
+    values = config_options(ctx)
     if scene is None and not resume:
         raise click.MissingParameter(ctx=ctx, param=ctx.command.params[0])
     options = None if resume or schedules else resolve(values, flags)

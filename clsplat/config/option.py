@@ -1,8 +1,8 @@
 """An option: a dataclass field with a default, limits and a help text, and how values are read.
 
 Each package declares its options as a frozen dataclass of such fields; `clsplat/options.py`
-composes them. The same fields become flags of the command line (cli/flags.py), keys of a TOML file
-and keys of a run's record.
+composes them. The same fields are keys of a TOML file and of a run's record, and some become flags
+of the command line (cli/flags.py).
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ def option(default: Any, group: str, text: str, *, affects: str = "model",
            minimum: float | None = None, maximum: float | None = None, most: float | None = None,
            expects: str | None = None, check: Callable[[Any], object] | None = None,
            separator: str | None = None, sets: dict[Any, dict[str, Any]] | None = None,
-           part: str | None = None) -> Any:
+           part: str | None = None, flag: bool = True) -> Any:
     """A field of a dataclass of options.
 
     Parameters
@@ -52,6 +52,7 @@ def option(default: Any, group: str, text: str, *, affects: str = "model",
     separator : between the elements of a tuple that is a single word on the command line.
     sets : value of this option -> {name: value} of options that it sets unless the user does.
     part : part of a training that the option belongs to; schedules without it refuse the option.
+    flag : whether it is a flag of the command line, too; else it is for Python, TOML and presets.
     """
     settings = {name: value for name, value in locals().items() if name not in ("default", "text")}
     return dataclasses.field(default=default, metadata={**settings, "help": text,
@@ -69,13 +70,13 @@ def options_of(kind: type) -> list[Option]:
 
 
 def origin_of(options: Any, name: str) -> str:
-    """The flag by which an option has its value: another one that sets it, such as --preset paper,
-    or its own."""
+    """The option by which another has its value, as messages name it: one that sets it, such as
+    --preset paper, or itself."""
     for known in options_of(type(options)):
         chosen = getattr(options, known.name)
         if known.metadata["sets"].get(chosen, {}).get(name) == getattr(options, name) is not None:
-            return f"{flag_name(known.name)} {chosen}"
-    return flag_name(name)
+            return f"{shown_name(known)} {chosen}"
+    return shown_name(next(known for known in options_of(type(options)) if known.name == name))
 
 
 def is_auto(value: object) -> bool:
@@ -86,6 +87,17 @@ def is_auto(value: object) -> bool:
 def flag_name(name: str) -> str:
     """An option's name as a flag, with hyphens."""
     return "--" + name.replace("_", "-")
+
+
+def shown_name(option: Option) -> str:
+    """How messages name an option: as its flag, or as a key if it is none."""
+    return flag_name(option.name) if option.metadata["flag"] else f"option '{option.name}'"
+
+
+def shown_default(option: Option) -> Any:
+    """The default of an option, as the word that stands for it if there is one."""
+    return next((word for word, value in option.metadata["words"].items()
+                 if value == option.default), option.default)
 
 
 def kind_of(option: Option) -> tuple[Any, int | None]:

@@ -20,6 +20,7 @@ from clsplat.densify.sphere import outside
 if TYPE_CHECKING:
     from clsplat.options import TrainOptions
 
+SPLIT_SIZE = 0.01  # share of the scene extent; larger gaussians are split, smaller ones cloned
 SPLIT_SHRINK = 1.6
 SHRINK = np.log(SPLIT_SHRINK)
 CHILDREN = 2
@@ -80,7 +81,7 @@ class Candidates:
         limited = prunes_large and options.prune_size > 0
         with np.errstate(divide="ignore"):  # a threshold of 0 or 1 is infinite
             self.limit = np.log(options.prune_size * extent if limited else np.finfo(float).max)
-            self.is_small = self.largest <= np.log(np.float64(options.split_size * extent))
+            self.is_small = self.largest <= np.log(np.float64(SPLIT_SIZE * extent))
             least = np.float64(options.prune_opacity)
             logit = np.log(least) - np.log1p(-least)
         # false for NaN too

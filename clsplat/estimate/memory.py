@@ -141,7 +141,7 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
     level, count, resident = None, gaussians.count, True
 
     def model_of(count: int) -> list[ArraySpec]:
-        return model_arrays(names, options.sh_degree, count, options.engine, options.moments)
+        return model_arrays(names, options.sh_degree, count, options.engine)
 
     for segment in segments:
         if segment.level != level:
@@ -215,11 +215,11 @@ def layer_bytes(device: Device, prepared: PreparedScene, shown: Sequence[View], 
 
 
 def model_arrays(names: Iterable[str], sh_degree: int, count: int,
-                 engine: str, moments: str) -> list[ArraySpec]:
+                 engine: str) -> list[ArraySpec]:
     """The arrays of rows and moments, in the order in which growth replaces them."""
     rows = Model.arrays(names, sh_degree, count)
     learned = {field.name: rows[field.name] for field in LEARNED}
-    moments_of = ENGINES[engine].arrays(learned, moments)
+    moments_of = ENGINES[engine].arrays(learned)
     return [spec for fields in (rows, *moments_of) for spec in fields.values()]
 
 

@@ -10,7 +10,7 @@ class ImageLossOptions:
     """The loss between a render and its photo."""
 
     ssim_weight: float = option(0.2, "Loss", "share of D-SSIM in the image loss, the rest is L1",
-                                minimum=0.0, maximum=1.0)
+                                minimum=0.0, maximum=1.0, flag=False)
 
 
 @dataclass(frozen=True)
@@ -18,9 +18,10 @@ class RegulariseOptions:
     """Regularisation of the gaussians that a view sees."""
 
     opacity_weight: float = option(0.0, "Loss", "weight of the mean opacity of the gaussians",
-                                   minimum=0.0)
+                                   minimum=0.0, flag=False)
     scale_weight: float = option(0.0, "Loss", "weight of the mean standard deviation of the "
-                                 "gaussians, as a share of the scene extent", minimum=0.0)
+                                 "gaussians, as a share of the scene extent", minimum=0.0,
+                                 flag=False)
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class ExposureOptions:
                              "darker the corners of a camera's photos are; auto: where they are",
                              choices=("off", "auto", "on"))
     tone: str = option("off", "Loss", "where exposures are learned, learn a tone curve for each "
-                       "camera, before which they are factors of light", choices=("off", "on"))
+                       "camera, before which they are factors of light", choices=("off", "on"),
+                       flag=False)
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class DepthOptions:
                         words={"none": ""})
     depth_weight: float = option(
         0.3, "Loss", "with --depth: weight of the relative difference between the rendered depth "
-        "and the maps", minimum=0.0)
+        "and the maps", minimum=0.0, flag=False)
 
 
 @dataclass(frozen=True)
@@ -67,4 +69,4 @@ class ReprojectOptions:
                             "exist", choices=("off", "auto", "on"), part="reprojection")
     reproject_weight: float = option(
         0.1, "Loss", "initial weight of that comparison; it decays to a tenth", minimum=0.0,
-        part="reprojection")
+        part="reprojection", flag=False)

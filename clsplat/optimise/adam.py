@@ -26,7 +26,6 @@ from clsplat.constants import (
 )
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each
 from clsplat.gaussians import LEARNED
-from clsplat.optimise.half_moments import decoded, encoded
 from clsplat.primitives.gather import gather
 from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Gradients
@@ -66,8 +65,8 @@ def corrections(step: int) -> tuple[float, float]:
     return 1 / (1 - beta1**step), 1 / float(np.sqrt(1 - beta2**step))
 
 
-def _defines(harmonics: int, degree: int, half: bool) -> tuple[tuple[str, int], ...]:
-    return ("SH_REST", harmonics), ("DEGREE", degree), ("HALF_MOMENTS", int(half))
+def _defines(harmonics: int, degree: int) -> tuple[tuple[str, int], ...]:
+    return ("SH_REST", harmonics), ("DEGREE", degree)
 
 
 class DeviceAdam:
@@ -78,8 +77,6 @@ class DeviceAdam:
     device : of the rows.
     rows : field name -> real[N, *row shape], the parameters.
     dense : whether rows that a view does not see move, too.
-    moments : how moments of the harmonics above the constant are stored, "float" or "half"
-        (cl/include/moments.h); those of the other fields always are reals.
 
     Attributes
     ----------
@@ -91,24 +88,21 @@ class DeviceAdam:
     NUMBERS = ("now", "before", "first", "correction",
                *(f"rate_{field.name}" for field in LEARNED))
 
-    def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False,
-                 moments: str = "float") -> None:
+    def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False) -> None:
         self.device, self.dense = device, dense
-        self.half, self.harmonics = moments == "half", rows["sh_rest"].shape[1]
+        self.harmonics = rows["sh_rest"].shape[1]
         self._m, self._v, self._others = (
             {name: device.zeros(*spec) for name, spec in specs.items()}
-            for specs in self.arrays(rows, moments))
+            for specs in self.arrays(rows))
         self.steps, self.is_current = 0, True
         self._degree = math.isqrt(self.harmonics + 1) - 1
 
     @staticmethod
-    def arrays(rows: Mapping[str, Array | ArraySpec], moments: str = "float"
-               ) -> tuple[dict[str, ArraySpec], ...]:
+    def arrays(rows: Mapping[str, Array | ArraySpec]) -> tuple[dict[str, ArraySpec], ...]:
         """The arrays of m, of v and others, by name, for parameters of these shapes."""
         count, harmonics, _ = rows["sh_rest"].shape
-        rest = (ArraySpec((count, -(-3 * harmonics // 4) * 4), np.uint16) if moments == "half"
-                else ArraySpec((count, 3 * harmonics)))
-        specs = {"small": ArraySpec((count, SMALL_COLUMNS)), "rest": rest}
+        specs = {"small": ArraySpec((count, SMALL_COLUMNS)),
+                 "rest": ArraySpec((count, 3 * harmonics))}
         return specs, specs, {"last_step": ArraySpec((count,), np.uint32),
                               "coefficients": ArraySpec((CATCH_UP_EVERY, LAG_TERMS)),
                               "no_gradient": ArraySpec((1, 1, 3)),
@@ -233,7 +227,7 @@ class DeviceAdam:
             **self._state_of(rows))
 
     def _defines(self, degree: int) -> tuple[tuple[str, int], ...]:
-        return _defines(self.harmonics, degree, self.half)
+        return _defines(self.harmonics, degree)
 
     def _state_of(self, rows: Mapping[str, Array]) -> dict[str, Array]:
         """Rows and moments by the names that they have in the kernels."""
@@ -253,8 +247,8 @@ class DeviceAdam:
         """
         for moments in (self._m, self._v):
             for name, old in moments.items():
-                new = self.device.zeros((len(source), *old.shape[1:]), old.dtype)
-                gather(self.device, self._as_reals(old), source.narrow(kept), self._as_reals(new))
+                new = self.device.zeros((len(source), *old.shape[1:]))
+                gather(self.device, old, source.narrow(kept), new)
                 moments[name] = new
         self._start_lag(len(source))
 
@@ -263,11 +257,6 @@ class DeviceAdam:
         self._others["last_step"] = self.device.allocate((count,), np.uint32)
         self._others["last_step"].fill(self.steps)
         self.is_current = True
-
-    def _as_reals(self, array: Array) -> Array:
-        """Memory of moments as reals, to be copied; rows of halves fill whole reals."""
-        width = array.shape[1] * array.dtype.itemsize // self.device.real.itemsize
-        return array.viewed(self.device.real, len(array), width)
 
     def reset(self, name: str) -> None:
         """Set the moments of one field to 0."""
@@ -285,9 +274,6 @@ class DeviceAdam:
         """m and v in host memory, by field, each row after its last step."""
         small = [moments["small"].download() for moments in (self._m, self._v)]
         rest = [moments["rest"].download() for moments in (self._m, self._v)]
-        if self.half:
-            rest = [values.astype(self.device.real)[:, :3 * self.harmonics]
-                    for values in decoded(*rest)]
         count = len(small[0])
         return tuple({  # type: ignore[return-value]  # two of them
             field.name: others.reshape(count, self.harmonics, 3) if field.name == "sh_rest" else
@@ -301,15 +287,12 @@ class DeviceAdam:
         Where their number is another, the parameters must change to it, too.
         """
         count = len(m["positions"])
-        rest: list[NDArray[Any]] = [
-            moments["sh_rest"].reshape(count, 3 * self.harmonics) for moments in (m, v)]
-        if self.half:
-            rest = list(encoded(rest[0], rest[1], self._m["rest"].shape[1]))
-        for own, source, others in zip((self._m, self._v), (m, v), rest):
+        for own, source in zip((self._m, self._v), (m, v)):
             own.clear()  # so that new moments take the memory of the old ones
             own["small"] = self.device.upload(np.column_stack([
                 source[field.name].reshape(count, -1) for field in SMALL]))
-            own["rest"] = self.device.upload(others)
+            own["rest"] = self.device.upload(
+                source["sh_rest"].reshape(count, 3 * self.harmonics))
         self._start_lag(count)
 
     def lag(self) -> dict[str, NDArray[Any]]:

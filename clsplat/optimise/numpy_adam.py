@@ -36,8 +36,7 @@ class NumpyAdam:
     RECORDS = False  # whether a step can be recorded: this one waits for the device
 
     @staticmethod
-    def arrays(rows: Mapping[str, Array | ArraySpec], moments: str = "float"
-               ) -> tuple[dict[str, ArraySpec], ...]:
+    def arrays(rows: Mapping[str, Array | ArraySpec]) -> tuple[dict[str, ArraySpec], ...]:
         """As `DeviceAdam.arrays`: none on the device."""
         return {}, {}, {}
 
@@ -51,8 +50,7 @@ class NumpyAdam:
                 *(FrameArray(field.name, (moved, *field.row_shape(sh_degree)), None, "adam", "adam")
                   for field in LEARNED)]
 
-    def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False,
-                 moments: str = "float") -> None:
+    def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False) -> None:
         self.device, self.dense, self.steps = device, dense, 0
         self.m: HostArrays = {
             name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
@@ -160,7 +158,7 @@ class NumpyAdam:
         """As `DeviceAdam.load_lag`; InputError where a row lags."""
         if self.dense and (arrays["last_step"] != step).any():
             raise InputError("the checkpoint was written with Adam's moments on the device, and "
-                             "not all rows are up to date: go on with --engine device")
+                             "not all rows are up to date: go on with engine = 'device'")
         self.steps = step
 
 

@@ -22,15 +22,12 @@ class OptimiseOptions:
                         most=1024)
     optimizer: str = option("dense", "Optimisation", "dense: Adam updates every gaussian at each "
                             "step; sparse: only those that the view sees",
-                            choices=("dense", "sparse"))
+                            choices=("dense", "sparse"), flag=False)
     engine: str = option("auto", "Optimisation", "where Adam's moments are kept: device, or numpy "
                          "in host memory; auto: on the device where they fit",
-                         choices=("auto", "device", "numpy"))
-    moments: str = option("float", "Optimisation", "how Adam's moments of the spherical harmonics "
-                          "are stored on the device: float, or half, which saves a quarter of the "
-                          "memory of the model", choices=("float", "half"))
+                         choices=("auto", "device", "numpy"), flag=False)
     position_noise: float = option(
         0.0, "Optimisation", "random steps of nearly transparent gaussians, as a multiple of the "
-        "learning rate of the positions", minimum=0.0)
+        "learning rate of the positions", minimum=0.0, flag=False)
     opacity_rate: float = option(0.025, "Optimisation", "learning rate of the opacity logits",
-                                 minimum=0.0)
+                                 minimum=0.0, flag=False)

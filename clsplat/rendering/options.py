@@ -13,11 +13,11 @@ class RenderingOptions:
                             "lowest that the viewing angles of this scene can tell apart",
                             main=True, words={AUTO: AUTO}, minimum=0, maximum=3)
     sh_every: int = option(1000, "Rendering", "steps after which the next degree of the spherical "
-                           "harmonics begins to train", minimum=1)
+                           "harmonics begins to train", minimum=1, flag=False)
     antialiased: bool = option(False, "Rendering", "scale opacities by the area that the low-pass "
                                "filter adds to a splat")
     near: float = option(0.0, "Rendering", "distance of the near plane, world units; auto: 1/500 "
-                         "of the scene extent", words={AUTO: 0.0}, minimum=0.0)
+                         "of the scene extent", words={AUTO: 0.0}, minimum=0.0, flag=False)
     background: tuple[float, float, float] = option(
         (0.0, 0.0, 0.0), "Rendering", "background colour: red, green and blue from 0 to 1",
-        minimum=0.0, maximum=1.0, expects="three numbers from 0 to 1")
+        minimum=0.0, maximum=1.0, expects="three numbers from 0 to 1", flag=False)

@@ -135,7 +135,7 @@ def level_table(records: Sequence[Record]) -> Table | None:
         "step", "training, s", "level", "reason", "steps at it", "slope", "threshold", "frequency",
         "hits", "rounds", "gaussians"), rows, (0, 1, *range(4, 11)),
         ("A level has converged when the slope of the scene frequency, per step, is below the "
-         "threshold --convergence-hits times in a row (hits). Rounds: of growth, at that level.",)
+         "threshold convergence_hits times in a row (hits). Rounds: of growth, at that level.",)
         ) if rows else None
 
 

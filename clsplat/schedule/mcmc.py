@@ -19,16 +19,15 @@ if TYPE_CHECKING:
     from clsplat.options import TrainOptions
 
 GROWS_SHARE = 25 / 30  # of the run
+CAP = 1_000_000  # gaussians up to which the model grows, unless --max-gaussians names them
 
 
 @dataclass(frozen=True)
 class McmcOptions:
     """Options of the `mcmc` schedule."""
 
-    mcmc_cap: int = option(1_000_000, "Growth", "number of gaussians up to which the model grows",
-                           minimum=1, part="mcmc")
     mcmc_growth: float = option(0.05, "Growth", "growth of the model in a round, as a share of its "
-                                "gaussians", minimum=0.0, most=10.0, part="mcmc")
+                                "gaussians", minimum=0.0, most=10.0, part="mcmc", flag=False)
 
 
 class Mcmc(Schedule):
@@ -48,7 +47,8 @@ class Mcmc(Schedule):
     @classmethod
     def planned_limit(cls, options: "TrainOptions", facts: SceneFacts) -> tuple[int, str]:
         """See `Schedule.planned_limit`."""
-        return options.mcmc_cap, f"{options.mcmc_cap:,}: --mcmc-cap"
+        cap = options.max_gaussians or CAP
+        return cap, f"{cap:,}: " + ("requested" if options.max_gaussians else "of 3DGS-MCMC")
 
     def plan(self, iteration: int) -> Plan:
         """See `Schedule.plan`; as in `constant`, rounds follow the step after a round number."""
@@ -60,4 +60,5 @@ class Mcmc(Schedule):
 
     def target(self, iteration: int, count: int, above: int) -> int:
         """See `Schedule.target`."""
-        return max(count, min(self.options.mcmc_cap, int((1 + self.options.mcmc_growth) * count)))
+        cap = self.options.max_gaussians or CAP
+        return max(count, min(cap, int((1 + self.options.mcmc_growth) * count)))

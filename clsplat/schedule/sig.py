@@ -76,26 +76,26 @@ class SigOptions:
         minimum=1.0, expects="factors that fall and end at 1, such as 4,2,1", check=check_levels,
         part="sig")
     frequency: str = option("robust", "Levels", "which scene frequency is tested for convergence",
-                            choices=VARIANTS, part="sig")
+                            choices=VARIANTS, part="sig", flag=False)
     convergence: str = option("robust", "Levels", "how it is tested", choices=VARIANTS, part="sig",
-                              sets={"paper": {"convergence_rate": 5e-5}})
+                              sets={"paper": {"convergence_rate": 5e-5}}, flag=False)
     convergence_rate: float = option(
         1e-4, "Levels", "a level has converged when the scene frequency grows by less than this "
-        "share of itself a step (--convergence paper: of the points' mean 1 / distance)",
-        minimum=0.0, part="sig")
+        "share of itself a step (convergence = paper: of the points' mean 1 / distance)",
+        minimum=0.0, part="sig", flag=False)
     convergence_hits: int = option(2, "Levels", "tests in a row that must find convergence",
-                                   minimum=1, part="sig")
+                                   minimum=1, part="sig", flag=False)
     level_share: float = option(
         AUTO, "Levels", "share of the run that the coarser levels may take together, each in "
         "proportion to its resolution; auto: as much as its resolution is of that of all levels; "
         "all: they have no deadlines", words={AUTO: AUTO, "all": 1.0}, minimum=0.0, maximum=1.0,
-        part="sig")
+        part="sig", flag=False)
     rounds: int = option(12, "Levels", "largest number of rounds of growth at each level; all: "
                          "rounds at fixed intervals, as --schedule constant has them",
-                         words={"all": 0}, minimum=1, part="sig")
+                         words={"all": 0}, minimum=1, part="sig", flag=False)
     level_reset: bool = option(True, "Levels", "reset opacities at the start of each level, so "
                                "that gaussians which the sharper images do not need are pruned",
-                               part="sig")
+                               part="sig", flag=False)
     pixels_per_gaussian: float = option(
         AUTO, "Levels", "the model grows only while each gaussian has at least this many training "
         "pixels, at the level's size; auto: fewer where the photos agree about the colours",
@@ -107,7 +107,7 @@ class SigOptions:
     free_space: float = option(
         0.0, "Growth", "remove gaussians nearer to a camera than this share of the depth of the "
         "nearest points in its photo, such as 0.5", words={"none": 0.0}, minimum=0.0, maximum=1.0,
-        part="sig")
+        part="sig", flag=False)
 
 
 class Sig(Schedule):

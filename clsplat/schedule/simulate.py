@@ -5,7 +5,7 @@ gaussians densified in a round is proportional to a power of the photos' fine de
 constants were fitted to runs of 7000 steps on caliterra (half and full size), boruszyn, lund and
 the city. There the prediction of the largest number of gaussians was 1.00 to 1.05 of the actual one
 with sig, 0.73 to 1.42 with constant, 0.52 to 1.01 with dash, 1.00 to 1.26 with taming; other scenes
-may be off by more. `--max-gaussians` bounds it. `python -m tools.studies.predicted` compares.
+may be off by more. `--max-gaussians` bounds it.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -18,7 +18,7 @@ class TamingOptions:
     """Options of the `taming` schedule."""
 
     taming_budget: float = option(15.0, "Growth", "number of gaussians at the end, as a multiple "
-                                  "of those at the start", minimum=1.0, part="taming")
+                                  "of those at the start", minimum=1.0, part="taming", flag=False)
 
 
 class Taming(Constant):

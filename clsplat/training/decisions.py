@@ -265,7 +265,7 @@ def _engine(facts: SceneFacts, options: TrainOptions, device: Device) -> Decisio
         return _requested(options.engine)
     unseen = dataclasses.replace(facts, photos=lambda: iter(()))  # reading them would take long
     count = largest(simulate(schedule_of(options.schedule)(options, unseen)))
-    needed = model_bytes(device, options.sh_degree, count, options.moments)
+    needed = model_bytes(device, options.sh_degree, count)
     available = device.handle.global_mem_size
     value = "device" if needed < DEVICE_SHARE * available else "numpy"
     return Decision(value, f"{value}: parameters and moments take up to {needed / 2**20:,.0f} MiB "

@@ -290,7 +290,7 @@ class Training:
         session.iteration = iteration
         if not step.count:
             raise broken(self.run, f"all gaussians were pruned after step {iteration}",
-                         "lower --prune-opacity, or allow larger --prune-size or --sphere-reach")
+                         "lower prune_opacity, or allow larger prune_size or sphere_reach")
         if event:
             self.recorder.log("grow", **event)
         if plan.resets_opacity:

@@ -30,7 +30,6 @@ class Model:
     gaussians : the initial ones.
     engine : where moments are kept, "device" or "numpy"; "auto": on the device if they fit now.
     dense : whether Adam updates all rows or only those that a view saw.
-    moments : how moments are stored on the device, "float" or "half".
 
     Attributes
     ----------
@@ -41,17 +40,16 @@ class Model:
     """
 
     def __init__(self, device: Device, gaussians: Gaussians, engine: str = "auto",
-                 dense: bool = False, moments: str = "float") -> None:
+                 dense: bool = False) -> None:
         self.device, self.sh_degree = device, gaussians.sh_degree
         self.frozen: Array | None = None
         self.adopt(gaussians)
         if engine == "auto":
-            needed = model_bytes(device, self.sh_degree, self.count, moments)
+            needed = model_bytes(device, self.sh_degree, self.count)
             fits = needed < DEVICE_SHARE * device.handle.global_mem_size
             engine = "device" if fits else "numpy"
         self.adam: Adam = ENGINES[engine](
-            device, {field.name: self._arrays[field.name] for field in LEARNED}, dense,
-            moments)
+            device, {field.name: self._arrays[field.name] for field in LEARNED}, dense)
 
     @staticmethod
     def arrays(names: Iterable[str], sh_degree: int, count: int) -> dict[str, ArraySpec]:
@@ -124,10 +122,10 @@ class Model:
         self.adam.reset("opacity_logits")
 
 
-def model_bytes(device: Device, sh_degree: int, count: int, moments: str) -> int:
+def model_bytes(device: Device, sh_degree: int, count: int) -> int:
     """Bytes of parameters and moments on a device."""
     rows = Model.arrays([field.name for field in LEARNED], sh_degree, count)
-    return sum(spec.nbytes(device.real) for specs in (rows, *DeviceAdam.arrays(rows, moments))
+    return sum(spec.nbytes(device.real) for specs in (rows, *DeviceAdam.arrays(rows))
                for spec in specs.values())
 
 

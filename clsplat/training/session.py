@@ -86,8 +86,7 @@ class Session:
         if prepared.surroundings and not layers:
             self.layers = Layers(device, self.scene, prepared.surroundings, prepared.near, options)
         self._draw_layers()  # before there is a model, as that needs memory
-        model = Model(device, gaussians, options.engine, options.optimizer == "dense",
-                      options.moments)
+        model = Model(device, gaussians, options.engine, options.optimizer == "dense")
         exposures = None
         if self.layers:  # the step puts them in front where it exposes the image
             exposures = Exposures(device, len(self.train_views), learns=False)

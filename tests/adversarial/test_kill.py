@@ -36,8 +36,7 @@ def moments(seed=4):
 def begun(device, options):
     """The command line's words for the options, on the device."""
     wanted = os.environ.get("CLSPLAT_TEST_DEVICES", "all")
-    return ["--form", device.form, "--device", "auto" if wanted == "all" else wanted,
-            *flags(**options)]
+    return ["--device", "auto" if wanted == "all" else wanted, *flags(form=device.form, **options)]
 
 
 def killed(folder, moment, number, *words):

@@ -26,15 +26,22 @@ pytestmark = pytest.mark.slow  # each decisions a city that is trained
 
 # PoCL where the tests are not told otherwise
 DEVICE = os.environ.get("CLSPLAT_TEST_DEVICES", "all").replace("all", "Portable")
-FLAGS = ("-n", "60", "-r", "4", "--densify-from", "1000", "--sh-degree", "1", "--exposure", "off",
-         "--grid", "2x1", "--least-views", "3", "--device", DEVICE, "--form", "item")
+FLAGS = ("-n", "60", "-r", "4", "--sh-degree", "1", "--exposure", "off",
+         "--grid", "2x1", "--least-views", "3", "--device", DEVICE)
 DEVICE_OF_1_GIB = SimpleNamespace(real=np.dtype(np.float32), handle=SimpleNamespace(
     global_mem_size=2**30))
 
 
+def keys(folder, *more):
+    """The words that give what is no flag."""
+    path = folder / "keys.toml"
+    path.write_text("\n".join(("densify_from = 1000", 'form = "item"', *more)))
+    return "--config", str(path)
+
+
 def city(folder, *flags, code=0):
     with pytest.raises(SystemExit) as ended:
-        main(["city", str(CITY), "-o", str(folder), "-q", *FLAGS, *flags])
+        main(["city", str(CITY), "-o", str(folder), "-q", *FLAGS, *flags, *keys(folder.parent)])
     assert ended.value.code == code
     return CityFolder(folder)
 
@@ -227,7 +234,8 @@ def test_goes_on_where_it_was(copy):
 def test_stages_one_by_one_end_in_the_same(made, tmp_path):
     flags = [flag for flag in FLAGS if flag not in ("--grid", "2x1", "--least-views", "3")]
     flags[flags.index("-n") + 1], flags[flags.index("-r") + 1] = "30", "8"
-    command("train", CITY, "--coarse", "--snapshots", "-o", tmp_path / "coarse", "-q", *flags)
+    command("train", CITY, "--coarse", "-o", tmp_path / "coarse", "-q", *flags,
+            *keys(tmp_path, "snapshots = true"))
     command("partition", tmp_path, "--grid", "2x1", "--least-views", "3")
     for block in CityFolder(tmp_path).blocks():
         command("block", block.path, "-q")

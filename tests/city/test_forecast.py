@@ -44,8 +44,8 @@ def test_the_expected_number_is_the_limit_of_the_schedule():
         chosen = resolve({}, {"test_every": 0, **options})
         return expected_gaussians(facts_of_whole(scene, chosen)[0], chosen)
 
-    assert expected(schedule="mcmc", mcmc_cap=points + 7) == points + 7
-    assert expected(schedule="mcmc", mcmc_cap=7) == points, "it begins with so many"
+    assert expected(schedule="mcmc", max_gaussians=points + 7) == points + 7
+    assert expected(schedule="mcmc", max_gaussians=7) == points, "it begins with so many"
     assert expected(schedule="constant") == pixels // PIXELS_PER_GAUSSIAN
     assert expected(pixels_per_gaussian=20.0) == pixels // 20
     assert expected(pixels_per_gaussian=20.0, downscale=2.0) == pytest.approx(pixels / 80, rel=0.01)

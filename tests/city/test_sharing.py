@@ -49,7 +49,7 @@ def test_large_blocks_have_the_gpu_to_themselves(tmp_path, monkeypatch):
 
     assert chosen({"grid": (2, 2)}).workers == 4
     # so many gaussians, 2.56 times as many with margins, and 2.6 kB for each
-    assert chosen({"grid": (2, 2)}, schedule="mcmc", mcmc_cap=8_000_000).workers == 2
+    assert chosen({"grid": (2, 2)}, schedule="mcmc", max_gaussians=8_000_000).workers == 2
     assert chosen({"grid": (3, 1)}).workers == 3
     assert chosen({}).workers == 1 and not chosen({}).several
     assert chosen({"grid": (2, 2)}, 2**36, 1).workers == 1

@@ -162,7 +162,7 @@ def test_interrupts_exit_130(error, said):
 
 @pytest.mark.parametrize("arguments", [
     ("train", "scene"), ("train", "scene", "-o", "run", "--nonsense"), ("nonsense",),
-    ("train", "scene", "-o", "run", "-n", "many"), ("train", "s", "-o", "r", "--engine", "steam")])
+    ("train", "scene", "-o", "run", "-n", "many"), ("train", "s", "-o", "r", "--poses", "steam")])
 def test_wrong_usage_is_one_line_and_exit_2(arguments):
     result = clsplat_(*arguments)
     assert result.exit_code == 2
@@ -183,11 +183,11 @@ def test_train_calls_with_resolved_options(calls, tmp_path):
 
 
 def test_train_completes_what_a_choice_sets(calls):
-    result = clsplat_("train", "city", "-o", "run", "--preset", "paper", "--rounds", 3)
+    result = clsplat_("train", "city", "-o", "run", "--preset", "paper", "--size", "L")
     assert result.exit_code == 0, result.output
     options = calls[-1][2]
-    assert options == resolve({}, {"preset": "paper", "rounds": 3})
-    assert (options.convergence, options.rounds, options.levels[0]) == ("paper", 3, 5.0)
+    assert options == resolve({}, {"preset": "paper", "size": "L"})
+    assert (options.convergence, options.size, options.levels[0]) == ("paper", "L", 5.0)
 
 
 def test_quiet_prints_nothing(calls):

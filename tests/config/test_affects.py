@@ -23,7 +23,6 @@ from clsplat.training.loop import resume, train
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, options_of, trained
 from tests.evaluation.test_lpips import NETWORK
 from tests.test_options import FIELDS, another, serving
-from tools.studies import runs
 
 AFFECTS = {name: field.metadata["affects"] for name, field in FIELDS.items()}
 TINY = {**LEVELLED, "iterations": 12, "levels": (2.0, 1.0), "level_share": 0.4,
@@ -51,7 +50,7 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
     other = dataclasses.replace(here, **{name: value})
     record, differs = plain(here), AFFECTS[name] != "nothing"
     assert [found for found, _, _ in differences(record, other)] == [name] * differs
-    # going on with a run, a campaign, a block and a city; evidence that is there
+    # going on with a run, a campaign, a block and a city
     assert refuses(resumed_options, record, {name: value}) == differs
     run = RunFolder.create(tmp_path / "run")
     run.write_options({"scene": tmp_path, **dataclasses.asdict(here)})
@@ -63,24 +62,12 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
         read=lambda options: {"fingerprint": "f", "options": record})
     monkeypatch.setattr(stages, "scene_record", lambda *_: {})
     monkeypatch.setattr(stages, "fingerprint", lambda _: "f")
-    scene = SimpleNamespace(path=str(tmp_path))
-    assert refuses(stages.begin, city, scene, other) == differs
-    recorded = {**record, "scene_absolute": str(tmp_path)}
-    wanted = SimpleNamespace(scene=scene, options=other)
-    assert bool(runs._difference(recorded, wanted)) == differs
+    assert refuses(stages.begin, city, SimpleNamespace(path=str(tmp_path)), other) == differs
     # a comparison: of models, over seeds; what `form` became is a fact of its own
     two = [Trained(str(number), plain(options), [], True)
            for number, options in enumerate((here, other))]
     compared = AFFECTS[name] == "model" and name not in ("seed", "form")
     assert (name in differing(two)) == compared
-
-
-def test_evidence_with_more_evaluations_serves():
-    record = {**plain(resolve({}, {"eval_at": (3, 7)})), "scene_absolute": "/"}
-    for eval_at, serves in (((7,), True), ((), True), ((7, 9), False)):
-        wanted = SimpleNamespace(scene=SimpleNamespace(path="/"),
-                                 options=resolve({}, {"eval_at": eval_at}))
-        assert (runs._difference(record, wanted) is None) == serves
 
 
 @pytest.mark.slow

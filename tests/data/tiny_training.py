@@ -4,6 +4,7 @@
 import hashlib
 import json
 from pathlib import Path
+from tempfile import mkstemp
 from unittest.mock import patch
 
 from clsplat.errors import Interrupted
@@ -68,13 +69,9 @@ def records(run, event):
 
 
 def flags(**changes):
-    """The command line's words for EVENTFUL's options, changed."""
-    words = []
-    for name, value in {**EVENTFUL, **changes}.items():
-        flag = name.replace("_", "-")
-        if isinstance(value, bool):
-            words += [f"--{flag}" if value else f"--no-{flag}"]
-        else:
-            for one in value if isinstance(value, tuple) else (value,):
-                words += [f"--{flag}", str(one)]
-    return words
+    """The command line's words for EVENTFUL's options, changed: a file of them."""
+    values = {**EVENTFUL, **changes}
+    file, path = mkstemp(".toml")
+    with open(file, "w", encoding="utf-8") as lines:
+        lines.writelines(f"{name} = {json.dumps(value)}\n" for name, value in values.items())
+    return ["--config", path]

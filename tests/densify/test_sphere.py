@@ -37,8 +37,8 @@ def test_spheres_at_the_start(neighbours):
 
 def test_one_point_more_than_neighbours_is_needed():
     assert with_spheres(cloud(16), 15).max_offsets.all()
-    with pytest.raises(InputError, match="15 distinct points, --sphere-neighbours 15 needs at "
-                                         "least 16; use a smaller number or --no-sphere"):
+    with pytest.raises(InputError, match="15 distinct points, sphere_neighbours = 15 needs at "
+                                         "least 16; give a smaller number or sphere = false"):
         with_spheres(cloud(15), 15)
 
 

@@ -147,7 +147,7 @@ def test_blocks_are_those_of_the_pool(own_device):
 
 PARTS = [{"poses": "on"},
          {"exposure": "on", "vignetting": "on", "tone": "on", "reproject": "on",
-          "moments": "half", "robust": "on"},
+          "robust": "on"},
          {"batch": 3},
          {"optimizer": "sparse", "sh_degree": 1, "engine": "numpy"}]
 
@@ -189,8 +189,7 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
             session.model.regrow(Growth(np.zeros(count, np.uint32), 3000, 0, 0, 0, {}))
             session.step.statistics.clear(count)
         lasting = [photo_array(session.photos.views[0])] + other_arrays(prepared, count)
-        lasting += model_arrays(LEARNED_NAMES, degree, count, prepared.options.engine,
-                                prepared.options.moments)
+        lasting += model_arrays(LEARNED_NAMES, degree, count, prepared.options.engine)
         for index in (0, 3):
             trial.prepare(index, regularises)()
             camera = session.photos.views[index].camera

@@ -45,8 +45,9 @@ def package(tmp_path):
 @pytest.mark.slow
 def test_a_schedule_in_one_file(package, tmp_path):
     clsplat = package((ROOT / "docs/examples/halves.py").read_text(), "halves = module:Halves")
-    done = clsplat("train", CITY, "--schedule", "halves", "-n", "40", "-r", "8", "--densify-every",
-                   "5", "-o", "run")
+    (tmp_path / "every.toml").write_text("densify-every = 5\n")
+    done = clsplat("train", CITY, "--schedule", "halves", "-n", "40", "-r", "8",
+                   "--config", "every.toml", "-o", "run")
     assert done.returncode == 0, done.stderr
     options = json.loads((tmp_path / "run" / "options.json").read_text())
     assert (options["schedule"], options["opacity_rate"]) == ("halves", 0.05)
@@ -59,7 +60,7 @@ def test_a_schedule_in_one_file(package, tmp_path):
     whole = " ".join(clsplat("train", "--help-all").stdout.split())
     assert "--half-share FLOAT Share of the run at half size" in whole
     done = clsplat("train", CITY, "--schedule=halves", "-n", "8", "-r", "8", "--half-share",
-                   "0.25", "-o", "other", "--snapshots")
+                   "0.25", "-o", "other")
     assert done.returncode == 0, done.stderr
     records = [json.loads(line) for line in (tmp_path / "other/metrics.jsonl").open()]
     assert {r["level"] for r in records if r["event"] == "eval"} == {1.0, 2.0}
@@ -80,7 +81,7 @@ def test_a_schedule_in_one_file(package, tmp_path):
     pytest.param(TINY, 0, marks=pytest.mark.slow),
     (("train", "nothing", "--schedule", "sig", "-o", "run"), 2),
     (("plan", "nothing", "--schedule", "unknown"), 2),
-    (("train", "nothing", "--sphere-reach", "3", "--schedule", "mcmc", "-o", "run"), 2)])
+    (("train", "nothing", "--levels", "2,1", "--schedule", "mcmc", "-o", "run"), 2)])
 @pytest.mark.one_in(3)
 def test_no_command_imports_a_schedule_that_it_does_not_name(package, tmp_path, words, code):
     clsplat = package(RECORD + "import sys\nsys.exit(0)\n", "x = module:S\nsig = module:S")
@@ -147,7 +148,7 @@ def test_an_unknown_schedule_names_those_that_are_there(package):
 @pytest.mark.one_in(3)
 def test_help_all_names_the_schedules_that_do_not_load(package):
     done = package("import sys\nsys.exit(0)\n", "x = module:S")("train", "--help-all")
-    assert done.returncode == 0 and "--sphere-reach" in done.stdout
+    assert done.returncode == 0 and "--visits" in done.stdout
     assert done.stderr.startswith("warning: x: module:S (package others) does not load")
 
 

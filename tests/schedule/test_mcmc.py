@@ -32,7 +32,7 @@ def test_rounds_in_the_first_five_sixths(iterations, last):
 
 
 def test_a_twentieth_more_up_to_the_cap():
-    schedule = schedule_of(mcmc_cap=1100)
+    schedule = schedule_of(max_gaussians=1100)
     assert schedule.target(601, START, 0) == 1050 and schedule.target(701, 1050, 9) == 1100
     assert schedule.target(801, 1100, 0) == 1100
     assert schedule.target(801, 5000, 0) == 5000  # the initial ones may be more
@@ -40,7 +40,7 @@ def test_a_twentieth_more_up_to_the_cap():
 
 
 @pytest.mark.parametrize("limits, most", [
-    ({}, int(START * 1.05**53)), ({"mcmc_cap": 3000}, 3000), ({"max_gaussians": 2000}, 2000)])
+    ({}, int(START * 1.05**53)), ({"max_gaussians": 2000}, 2000)])
 def test_the_number_is_foretold(limits, most):
     for pixels in (FACTS.pixels, 1):  # whatever the photos ask for
         schedule = schedule_of(dataclasses.replace(FACTS, pixels=pixels), iterations=7000, **limits)

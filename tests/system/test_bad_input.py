@@ -157,11 +157,14 @@ def test_spoilt_scene(tmp_path, case):
 def test_a_sphere_wants_neighbours(tmp_path):
     """Its radius is a mean over 15 others, or as many as are asked for."""
     folder = write_scene(tmp_path / "town", left(15, reconstruction()))
-    words = ("train", folder, "-o", tmp_path / "run", *TRAIN, "--sphere")
-    line = refused(*words, naming=("15 distinct points", "--sphere-neighbours 15", "at least 16",
-                                   "--no-sphere"))
+    words = ("train", folder, "-o", tmp_path / "run", *TRAIN, "--config",
+             tmp_path / "run.toml")
+    (tmp_path / "run.toml").write_text("sphere = true\n")
+    line = refused(*words, naming=("15 distinct points", "sphere_neighbours = 15", "at least 16",
+                                   "sphere = false"))
     assert ";" in line and not content(tmp_path / "run")
-    assert clsplat(*words, "--sphere-neighbours", "14").exit_code == 0
+    (tmp_path / "run.toml").write_text("sphere-neighbours = 14\n")
+    assert clsplat(*words).exit_code == 0
 
 
 @pytest.mark.slow

@@ -231,7 +231,7 @@ BASELINES = {  # name -> (what it needs to be eventful, stops)
     "taming": ({"iterations": 60, "densify_until": 50, "densify_from": 5, "densify_every": 7,
                 "taming_budget": 1.5}, (13, 36)),
     "mcmc": ({"iterations": 60, "densify_until": 50, "densify_from": 5, "densify_every": 7,
-              "mcmc_growth": 0.2, "mcmc_cap": 9000}, (13, 36))}
+              "mcmc_growth": 0.2, "max_gaussians": 9000}, (13, 36))}
 
 
 @pytest.mark.slow

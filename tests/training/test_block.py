@@ -319,7 +319,8 @@ def test_a_block_of_another_city(folder, what):
 @pytest.mark.parametrize("options, complaint", [
     ({"iterations": "many"}, "option 'iterations' expects auto or a whole number"),
     ({"no_such": 1}, "unknown option"),
-    ({"schedule": "constant", "rounds": 3}, "--rounds: has no effect with --schedule constant")])
+    ({"schedule": "constant", "rounds": 3},
+     "option 'rounds': has no effect with --schedule constant")])
 def test_bad_options_of_a_block(folder, options, complaint):
     block = folder.block(0)
     (block.path / "block.json").write_text(json.dumps({**block.read(), "options": options}))

@@ -338,7 +338,7 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatc
     large = tmp_path / "large.ply"  # where training begins at a file, by the gaussians of that
     write_ply(large, Gaussians.from_points(*np.random.default_rng(1).random((2, 90_000, 3)), 0))
     of_file = 3 * 59 * 90_000 * 4
-    started = {"schedule": "mcmc", "mcmc_cap": 90_000, "init": str(large)}
+    started = {"schedule": "mcmc", "max_gaussians": 90_000, "init": str(large)}
     assert engine(3.02 * of_file, **started).options.engine == "device"
     assert engine(2.98 * of_file, **started).options.engine == "numpy"
     assert find_decisions(city, city.views, options).options.engine == "auto"

@@ -93,17 +93,17 @@ def test_growth_takes_more_memory_than_there_is_before_and_after(float_device):
     device = Device(float_device.handle, form=float_device.form)
     model, *_ = with_moments(device, "device", 1000)
     before = device.memory_bytes
-    assert before == model_bytes(device, model.sh_degree, 1000, "float")
+    assert before == model_bytes(device, model.sh_degree, 1000)
     assert device.peak_bytes == before + 4 * 1000  # last_step, which was replaced
     model.regrow(growth_of(np.resize(np.arange(1000), 2000), 1000, 0))
     after = device.memory_bytes
-    assert after == model_bytes(device, model.sh_degree, 2000, "float")
+    assert after == model_bytes(device, model.sh_degree, 2000)
     assert after < device.peak_bytes < before + after
     device.empty(after, np.uint8)  # the pool keeps it; noted when memory is asked for
     pooled = device.memory_bytes - after
     assert pooled >= after and device.peak_bytes == after + pooled
     model.regrow(growth_of(range(10), 10, 0))
-    assert device.memory_bytes == model_bytes(device, model.sh_degree, 10, "float")
+    assert device.memory_bytes == model_bytes(device, model.sh_degree, 10)
     del model
     assert device.memory_bytes == 0 and device.peak_bytes == after + pooled
 

@@ -28,8 +28,7 @@ from clsplat.io.atomic import replacing
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.page import Table
-from tools.studies.evidence import cell, flags_after, markdown, outermost, refuse
-from tools.studies.runs import Scene
+from tools.studies.evidence import Scene, cell, flags_after, markdown, outermost, refuse
 
 STEPS_A_STREET = 300  # of a made city, for each of its K x K streets; so many photos show it:
 PHOTOS_A_STREET = 8

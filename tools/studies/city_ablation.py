@@ -37,8 +37,7 @@ import numpy as np
 
 from clsplat.evaluation.run import Run
 from clsplat.io.runs.run import RunFolder
-from tools.studies.evidence import flags_after
-from tools.studies.runs import Scene
+from tools.studies.evidence import Scene, flags_after
 
 SCORES = ("psnr", "psnr_cc", "ssim")
 NO_JOINT = "none"

@@ -30,22 +30,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import clsplat
-from clsplat.cli.flags import given_options
-from clsplat.cli.train import train as command
+from clsplat.cli.flags import TrainingCommand, config_options, given_options, training_flags
 from clsplat.config.option import plain
 from clsplat.device import choose_device
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.io.scenes.read import is_scene
-from clsplat.options import from_toml, resolve
+from clsplat.options import resolve
 from clsplat.schedule import OURS
-from tools.studies.evidence import flags_after, outermost, refuse
+from tools.studies.evidence import Scene, flags_after, outermost, refuse
 from tools.studies.judge_page import Division, Result, is_chosen, write_page
-from tools.studies.runs import Scene
 
 RESULTS = "results.jsonl"
 SLOWER = 1.2  # how much longer than the longest run so far the next one may take
 CURVE = ("iteration", "train_seconds", "psnr_cc", "psnr", "gaussians")  # of each evaluation
 SCORES = ("psnr_cc", "psnr", "ssim_cc", "ssim", "gaussians", "train_seconds", "views")
+COMMAND = training_flags(TrainingCommand("judge"), every=True)  # parses flags, and runs nothing
 FACTS = ("fingerprint", "opencl_device", "kernel_form", "version", "commit")
 
 
@@ -208,12 +207,11 @@ def planned(arguments):
 
 def options_of(scene, division, every, flags):
     """The options that flags give, by name; InputError for invalid ones."""
-    words = [scene.path, "-o", "judge", "-n", division.steps, "-r", f"{scene.downscale:g}",
+    words = ["-n", division.steps, "-r", f"{scene.downscale:g}",
              "--seed", division.seed, "--test-every", every, "--test-offset", division.offset,
              "--checkpoint-every", "end", *flags]
-    context = command.make_context("clsplat train", [str(word) for word in words])
-    config = context.params["config"]
-    given = {**(from_toml(config) if config else {}), **given_options(context)}
+    context = COMMAND.make_context("judge", [str(word) for word in words])
+    given = {**config_options(context), **given_options(context)}
     resolve({}, given)
     return given
 

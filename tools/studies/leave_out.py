@@ -33,8 +33,7 @@ from clsplat.report.page import Table
 from clsplat.training.photos import Photos
 from clsplat.training.prepare import prepare
 from clsplat.training.session import Session
-from tools.studies.evidence import markdown, outermost
-from tools.studies.runs import Scene
+from tools.studies.evidence import Scene, markdown, outermost
 
 ON, OFF = "everything on", "everything off"
 # part -> (options with it, options without)
