@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,7 +39,8 @@ class View:
     ----------
     name : of the photo within the scene.
     camera : of the photo; its size may be smaller than the photo's.
-    source : a file path, or the encoded image of a packed scene.
+    source : a file path, the bytes of an encoded image, or its pixels in sRGB: uint8, uint16 or
+        float32 (0 to 1) [H, W], [H, W, 3] or with alpha [H, W, 4].
     lens : of the photo as it is stored, if it is to be undistorted.
     mask : an image in which dark pixels mark those of the stored photo that do not count, as
         `source`; None: all count.
@@ -53,9 +54,9 @@ class View:
 
     name: str
     camera: Camera
-    source: Path | bytes
+    source: Path | bytes | NDArray[Any]
     lens: Lens | None = None
-    mask: Path | bytes | None = None
+    mask: Path | bytes | NDArray[Any] | None = None
     transparent: bool = False
     depth: Path | None = None
     quarter_turns: int = 0

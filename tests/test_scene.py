@@ -9,7 +9,6 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.io.scenes.colmap_write import Tracks, write_colmap
-from clsplat.io.scenes.packed import write_packed
 from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
 from tests.io.photos.test_metadata import photo
@@ -33,12 +32,6 @@ def test_no_offset_changes_what_the_data_set_defines(city):
     defined = dataclasses.replace(city, held_out=frozenset({city.views[1].name}))
     assert held_out(defined, 8, 5) == held_out(defined, 8) == [city.views[1].name]
     assert held_out(city, 0, 5) == []
-
-
-def test_a_packed_scene_is_divided_like_its_original(city, tmp_path):
-    write_packed(city, tmp_path / "city.npz", downscale=8)
-    packed = read_scene(tmp_path / "city.npz")
-    assert held_out(packed, 8, 3) == held_out(city, 8, 3)
 
 
 @pytest.mark.parametrize("stored_upright", [True, False])

@@ -82,8 +82,7 @@ class Scene(scene.Scene):
         Parameters
         ----------
         path : a folder with a COLMAP model, transforms.json, the layout of CityGaussian or the
-            project of another program, such as Metashape; the file of such a project; or a file of
-            `clsplat pack`.
+            project of another program, such as Metashape; or the file of such a project.
         images : the folder of its photos, relative to the scene's folder; "": images.
 
         Raises

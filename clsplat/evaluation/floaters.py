@@ -21,18 +21,9 @@ CAMERAS = 64  # that are compared at once
 CHUNK = 1 << 12  # neighbouring gaussians at once, which few solids and cameras concern
 
 
-def geometry_path(scene_path: Path) -> Path:
-    """The file with the ground truth of a scene, if it has one.
-
-    It is geometry.json in the scene's folder, or NAME.geometry.json beside a packed NAME.npz.
-    """
-    return (scene_path / GEOMETRY if scene_path.is_dir()
-            else scene_path.with_suffix(f".{GEOMETRY}"))
-
-
 def ground_truth(scene_path: Path) -> City | None:
     """The city that a scene shows, or None where that is not known; InputError if damaged."""
-    path = geometry_path(scene_path)
+    path = scene_path / GEOMETRY
     return load(path) if path.is_file() else None
 
 

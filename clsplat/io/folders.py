@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Literal
 
 from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL
@@ -45,19 +46,20 @@ def new_folder(path: Path) -> Iterator[Path]:
         raise
 
 
-def link_file(source: Path, place: Path, symbolic: bool = True) -> None:
+def link_file(source: Path, place: Path, kind: Literal["symbolic", "hard", "copy"] = "symbolic"
+              ) -> None:
     """Link to a file, or copy it if the file system has no links; what is at the place stays.
 
     Parameters
     ----------
     place : of the link; its folder is created.
-    symbolic : whether the link ends with its source; else it is a hard one.
+    kind : of the link; a hard one outlives its source.
     """
     make_folder(place.parent)
     source = source.resolve()
     if place.exists():
         return
-    for link in (os.symlink, os.link) if symbolic else (os.link,):
+    for link in {"symbolic": (os.symlink, os.link), "hard": (os.link,), "copy": ()}[kind]:
         with suppress(OSError):
             link(source, place)
             return

@@ -44,10 +44,10 @@ def write_scene(folder: Path, reconstruction: Any, photos: Sequence[SourcePhoto]
     by_name = {photo.name: photo for photo in photos}
     images = {image.name: image for image in reconstruction.images.values() if image.has_pose}
     for name in sorted(images):
-        link_file(by_name[name].path, folder / IMAGES / native(name), symbolic=False)
+        link_file(by_name[name].path, folder / IMAGES / native(name), "hard")
         mask = by_name[name].mask
         if mask is not None:
-            link_file(mask, folder / MASKS / native(name + mask.suffix), symbolic=False)
+            link_file(mask, folder / MASKS / native(name + mask.suffix), "hard")
     _add_colours(reconstruction, {name: by_name[name] for name in sorted(images)}, images, progress)
     make_folder(folder / "sparse" / "0")
     write_reconstruction(folder / "sparse" / "0", reconstruction)

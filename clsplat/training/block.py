@@ -10,8 +10,8 @@ from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.runs.city import BlockFolder
 from clsplat.io.runs.run import OPTIONS, RunFolder
-from clsplat.io.scenes.linked import DEPTH
 from clsplat.io.scenes.read import read_scene
+from clsplat.io.scenes.write import DEPTH
 from clsplat.options import EARLIER, TrainOptions, checked_values, resolve
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import Saved

@@ -20,8 +20,7 @@ from clsplat.io.photos.images import write_image
 from clsplat.io.photos.views import read_valid
 from clsplat.io.runs import city as module
 from clsplat.io.runs.city import OTHERS, BlockFolder, CityFolder, attached
-from clsplat.io.scenes import linked
-from clsplat.io.scenes.packed import write_packed
+from clsplat.io.scenes import write
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.region import Region, Space
@@ -119,14 +118,6 @@ def test_a_block_is_a_scene(city, scene, gaussians, away):
     assert model.compute_mean_reprojection_error() < 1e-6  # tracks lie on their points
 
 
-def test_a_block_of_a_packed_scene_is_packed(city, scene, gaussians, tmp_path):
-    write_packed(scene, tmp_path / "city.npz")
-    packed = read_scene(tmp_path / "city.npz")
-    block = written(city, packed, gaussians)
-    read = check_part(block, packed)
-    assert read.path == block.path and read.name == "000"
-
-
 def test_a_block_keeps_the_place_of_the_whole(city, scene, gaussians):
     here = Georeference("EPSG:32614", (5e5, 3e6, 300.0), "test", 0.5)
     block = written(city, replace(scene, georeference=here, given_up=None), gaussians)
@@ -179,7 +170,7 @@ def test_where_links_are_refused(city, scene, gaussians, monkeypatch, refused):
     assert not first.source.is_symlink() and is_linked == (refused == "links")
 
 
-@pytest.mark.parametrize("moment", ["linked.write_colmap", "linked.link_file", "write_exposures",
+@pytest.mark.parametrize("moment", ["write.write_colmap", "write.link_file", "write_exposures",
                                     "write_ply", "os.rename"])
 @pytest.mark.parametrize("trouble", [
     KeyboardInterrupt(), OSError(errno.ENOSPC, "disk full"),
@@ -191,7 +182,7 @@ def test_a_block_is_whole_or_not_there(city, scene, gaussians, monkeypatch, mome
         raise trouble
     *holder, name = moment.split(".")
     with monkeypatch.context() as patch:
-        patch.setattr({"os": os, "linked": linked}[holder[0]] if holder else module, name, end)
+        patch.setattr({"os": os, "write": write}[holder[0]] if holder else module, name, end)
         with pytest.raises((InputError, KeyboardInterrupt)) as caught:
             written(city, scene, gaussians)
     assert caught.value is trouble or str(caught.value).startswith(

@@ -83,15 +83,13 @@ def test_what_fails_is_tried_again(tmp_path, monkeypatch):
         started.append(command)
         if command == "synth":
             Path(words[1]).mkdir()
-        elif command == "pack":
-            Path(words[2]).touch()
         return SimpleNamespace(returncode=2 if command == "city" else 0)
     monkeypatch.setattr(cities, "subprocess", SimpleNamespace(run=run))
     words = [str(tmp_path), *TINY]
     for _ in range(2):
         with pytest.raises(InputError, match="kernels, .*area-1x1, .*area-2x2: failed .* again"):
             cities.main(words)
-    assert started == ["synth", "pack", "city", "city", "synth", "pack", "city"] + 3 * ["city"]
+    assert started == ["synth", "city", "city", "synth", "city"] + 3 * ["city"]
     assert "| whole command, s | - | - |" in (tmp_path / "cities.md").read_text()
 
 

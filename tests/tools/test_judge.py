@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError, Interrupted
-from clsplat.io.scenes.packed import write_packed
 from clsplat.io.scenes.read import read_scene
+from clsplat.io.scenes.write import write_scene
 from tests.data.tiny_training import CITY
 from tools.studies import judge
 from tools.studies.judge_page import Compared, Division, Result, time_to, write_page
@@ -19,11 +19,11 @@ BASE = {"sig": 31.0, "constant": 30.0, "mcmc": 29.0}  # dB of a made-up run, at 
 
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory):
-    """A folder of two packed sets."""
+    """A folder of two sets."""
     folder = tmp_path_factory.mktemp("sets")
     city = read_scene(CITY)
     for name in ("one", "two"):
-        write_packed(city, folder / f"{name}.npz", downscale=16)
+        write_scene(folder / name, city, downscale=16)
     return folder
 
 
@@ -177,11 +177,11 @@ def test_what_cannot_be_is_refused_before_any_training(tmp_path, sets, trainings
 
 def test_where_there_are_no_sets(tmp_path, sets):
     with pytest.raises(InputError, match="no such scene"):
-        judge.scenes_of([str(sets / "three.npz")])
+        judge.scenes_of([str(sets / "three")])
     with pytest.raises(InputError, match="neither a scene nor a folder of scenes"):
         judge.scenes_of([str(tmp_path)])
     with pytest.raises(InputError, match="two sets have this name"):
-        judge.scenes_of([str(sets), str(sets / "one.npz")])
+        judge.scenes_of([str(sets), str(sets / "one")])
     assert [scene.name for scene in judge.scenes_of([f"{sets}:2", str(CITY)])] == [
         "one-r2", "two-r2", "city"]
 
@@ -206,7 +206,7 @@ def test_a_page_without_results(tmp_path):
 
 @pytest.mark.slow
 def test_a_real_judgement(tmp_path, sets):
-    _, page = judged(tmp_path, sets / "one.npz", *shlex.split(
+    _, page = judged(tmp_path, sets / "one", *shlex.split(
         "-n 6 --offsets 0,3 --seeds 1 --schedules constant,mcmc -- --sh-degree 0"))
     assert "4 of 4 runs" in page and "### Against constant" in page
     results = [json.loads(line) for line in (tmp_path / "results.jsonl").open()]

@@ -147,14 +147,12 @@ def clsplat(*words):
 
 
 def made_city(work, streets, photos, size):
-    """The path of a packed city of streets x streets, which is made where it is missing."""
-    scene = work.out / f"streets-{streets}x{streets}-{photos}-{size}.npz"
+    """The path of a city of streets x streets, which is made where it is missing."""
+    scene = work.out / f"streets-{streets}x{streets}-{photos}-{size}"
     if not scene.exists():
-        folder = scene.with_suffix("")
-        if clsplat("synth", "-o", folder, "--blocks", f"{streets}x{streets}", "--views", photos,
-                   "--size", size, "--overwrite") or clsplat("pack", folder, "-o", scene):
-            raise InputError(f"{folder}: this city could not be made, for the reason above")
-        shutil.rmtree(folder)
+        if clsplat("synth", "-o", scene, "--blocks", f"{streets}x{streets}", "--views", photos,
+                   "--size", size, "--overwrite"):
+            raise InputError(f"{scene}: this city could not be made, for the reason above")
     return scene
 
 

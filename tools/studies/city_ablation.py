@@ -2,7 +2,7 @@
 
     python -m tools.studies.city_ablation OUT SCENE[:DOWNSCALE] ... [-- FLAGS of clsplat city]
 
-SCENE may be a file of `clsplat pack`. Each is trained with and without the joint training, first
+Each is trained with and without the joint training, first
 with all mechanisms as they are by default, then with one of them off, or on where the default
 leaves it off. A line is printed for each city, and kept in OUT/city_ablation.jsonl; cities that are
 there are not trained again. The machine should do nothing else, as their time counts.

@@ -20,8 +20,8 @@ from scipy.ndimage import gaussian_filter
 
 from clsplat.io.photos.images import encode_jpeg
 from clsplat.io.photos.views import read_photo
-from clsplat.io.scenes.packed import PACKED_QUALITY, write_packed
 from clsplat.io.scenes.read import read_scene
+from clsplat.io.scenes.write import QUALITY, write_scene
 from clsplat.placement.corrections import Correction, typical_depth
 
 SEED = 7
@@ -54,7 +54,7 @@ def with_other_photos(scene, training, changed):
     return replace(scene, views=tuple(
         replace(view, source=encode_jpeg(
             np.clip(np.rint(changed(rng, read_photo(view).astype(float))), 0, 255).astype(np.uint8),
-            PACKED_QUALITY)) if view.name in names else view for view in scene.views))
+            QUALITY)) if view.name in names else view for view in scene.views))
 
 
 def noisy(percent):
@@ -94,7 +94,7 @@ def main(argv=None):
         change = noisy(options.noise) if options.shadows is None else shadowed(options.shadows)
         training, _ = scene.split(options.test_every, options.test_offset)
         scene = with_other_photos(scene, training, change)
-    write_packed(scene, options.out)
+    write_scene(options.out, scene, linked=False)
 
 
 if __name__ == "__main__":

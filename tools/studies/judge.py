@@ -2,7 +2,7 @@
 
     python -m tools.studies.judge OUT SETS ... --chosen caliterra,lund:0 -- --exposure on
 
-SETS are scenes, packed or not, or folders of scenes; `PATH:2` halves their photos. Every set is
+SETS are scenes or folders of scenes; `PATH:2` halves their photos. Every set is
 trained with every schedule, number of steps, offset of the held-out views (`--test-offset`) and
 seed, one run after the other on one device. The result of each is a line of OUT/results.jsonl, and
 a run that has one is not repeated. OUT/judge.md has the tables of judge_page.py, also of an
@@ -12,8 +12,7 @@ are flags of `clsplat train` for all runs.
 Where time is short, `--minutes` ends a call before a run that would not end in time, and the same
 command goes on. `--part 1/4` takes every fourth run only, for four processes or machines; each
 writes a file of its own. All files OUT/*.jsonl are read, so results of other machines are merged by
-copying their files there. Where a machine has packed sets only (`clsplat pack`), they keep their
-names.
+copying their files there.
 
 Other columns than schedules are given by their flags; an ablation, for example:
 
@@ -164,7 +163,7 @@ def scenes_of(words):
         folder = Path(given.path)
         if folder.is_dir() and not is_scene(folder):
             inside = [path for path in sorted(folder.iterdir())
-                      if (is_scene(path) if path.is_dir() else path.suffix == ".npz")]
+                      if path.is_dir() and is_scene(path)]
             if not inside:
                 raise InputError(f"{folder}: neither a scene nor a folder of scenes")
             found += [Scene(f"{path}:{given.downscale:g}") for path in inside]

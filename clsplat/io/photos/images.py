@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
-from clsplat.io.photos.photo import Levels, Photo, opened, reason_of
+from clsplat.io.photos.photo import Levels, Photo, Source, opened, reason_of
 from clsplat.io.photos.resample import joined, resampled_bands
 
 JPEG_QUALITY = 92
@@ -132,7 +132,7 @@ def _piped(write: Callable[[str], bool], end: Callable[[bool], None]) -> bytes:
         return content.result()
 
 
-def read_image(source: str | Path | bytes, size: tuple[int, int] | None = None,
+def read_image(source: Source, size: tuple[int, int] | None = None,
                window: tuple[int, int, int, int] | None = None,
                levels: Levels | None = None) -> NDArray[np.uint8]:
     """Read a photo as uint8[H, W, 3], sRGB.
@@ -142,7 +142,7 @@ def read_image(source: str | Path | bytes, size: tuple[int, int] | None = None,
 
     Parameters
     ----------
-    source : a path, or the encoded bytes of a photo.
+    source : a path, the encoded bytes of a photo, or an array (`photo.ArrayInput`).
     size : (width, height), pixels, to which the image is resampled by area averaging.
     window : (left, top, right, bottom), pixels, the part to read; None reads all.
     levels : the samples of 16 bits that become black and white (io/photos/levels.py).
@@ -154,7 +154,7 @@ def read_image(source: str | Path | bytes, size: tuple[int, int] | None = None,
         return joined(_bands(photo, size, window), size)
 
 
-def image_bands(source: str | Path | bytes, size: tuple[int, int],
+def image_bands(source: Source, size: tuple[int, int],
                 window: tuple[int, int, int, int] | None = None,
                 levels: Levels | None = None) -> Iterator[NDArray[np.uint8]]:
     """Yield what `read_image` reads from the top down, uint8[n, W, 3] each.
@@ -188,13 +188,13 @@ def window_of(camera: Camera, size: tuple[int, int]) -> tuple[int, int, int, int
     return left, top, right, bottom
 
 
-def read_alpha(source: str | Path | bytes) -> NDArray[np.uint8]:
+def read_alpha(source: Source) -> NDArray[np.uint8]:
     """Read the alpha channel of a photo as it is stored, uint8[H, W]."""
     with opened(source) as photo:
         return photo.alpha()
 
 
-def image_size(source: str | Path | bytes) -> tuple[int, int]:
+def image_size(source: Source) -> tuple[int, int]:
     """(width, height) of a photo in pixels, from its header only; errors as in `read_image`."""
     with opened(source) as photo:
         return photo.width, photo.height

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clsplat.io.photos.photo import Levels, opened
+from clsplat.io.photos.photo import Levels, Source, opened
 
 MOST_READ = 32  # photos, evenly chosen, whose samples are looked at
 SHARES = (0.1, 99.9)  # per cent of a photo's samples, between which they count
@@ -17,13 +17,13 @@ FEWEST_STEPS = 64.0  # of 8 bits that samples fill, with which they are left as 
 SHALLOW = (".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".tga")  # formats without 16 bits
 
 
-def common_levels(sources: Sequence[Path | bytes], deep: Iterable[bool]) -> list[Levels | None]:
+def common_levels(sources: Sequence[Source], deep: Iterable[bool]) -> list[Levels | None]:
     """For each photo the lowest and the greatest sample that count in the whole set; None for those
     that are read as they are, because they fill 8 bits anyway or have other samples.
 
     Parameters
     ----------
-    sources : paths or encoded bytes of photos.
+    sources : of photos, as `photo.opened` takes them.
     deep : whether each is grey with 16 bits, as `photo.Photo` has it.
     """
     deep = list(deep)

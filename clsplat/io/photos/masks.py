@@ -16,7 +16,7 @@ from clsplat.errors import InputError
 from clsplat.io.photos.beside import check_shape, photo_size
 from clsplat.io.photos.images import read_alpha
 from clsplat.io.photos.mask_files import MaskFiles, mask_folders
-from clsplat.io.photos.photo import opened
+from clsplat.io.photos.photo import Source, opened
 from clsplat.io.photos.resample import resample
 from clsplat.scene import Scene, View
 
@@ -52,7 +52,7 @@ def stored_masks(view: View) -> Iterator[NDArray[np.bool_]]:
         yield read_alpha(view.source) >= LEAST_BRIGHT
 
 
-def read_mask(source: Path | bytes, name: str | Path, photo: tuple[int, int]) -> NDArray[np.bool_]:
+def read_mask(source: Source, name: str | Path, photo: tuple[int, int]) -> NDArray[np.bool_]:
     """Read which pixels of a photo count, by its mask: bool[h, w], of any size.
 
     Parameters

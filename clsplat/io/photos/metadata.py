@@ -83,7 +83,7 @@ class PhotoMetadata:
         return QUARTERS.get(self.orientation, 0)
 
 
-def read_metadata(path: str | Path | bytes) -> PhotoMetadata:
+def read_metadata(path: str | Path) -> PhotoMetadata:
     """Read the metadata of a photo from its header.
 
     Parameters
@@ -134,7 +134,7 @@ def _words(photo: Photo, *names: str) -> str:
     return " ".join(filter(None, (_text(photo, name) for name in names)))
 
 
-def _position(photo: Photo, path: str | Path | bytes) -> tuple[float, float] | tuple[None, None]:
+def _position(photo: Photo, path: str | Path) -> tuple[float, float] | tuple[None, None]:
     """Latitude and longitude, or twice None. Of EXIF and XMP the finer one is taken, if both agree
     within the rounding of EXIF."""
     exif = _degrees(photo, "Latitude", "S", 90), _degrees(photo, "Longitude", "W", 180)
@@ -152,16 +152,13 @@ def _position(photo: Photo, path: str | Path | bytes) -> tuple[float, float] | t
     return latitude, longitude
 
 
-def _exact(photo: Photo, path: str | Path | bytes, limit: float, *names: str) -> float | None:
+def _exact(photo: Photo, path: str | Path, limit: float, *names: str) -> float | None:
     """A number of DJI's XMP, of which OpenImageIO keeps seven digits."""
     for name in names:
         value = _number(photo, DJI + name, limit)
         if value is not None:
-            if isinstance(path, bytes):
-                content = path[:XMP_BYTES]
-            else:
-                with open_regular(path) as file:
-                    content = file.read(XMP_BYTES)
+            with open_regular(path) as file:
+                content = file.read(XMP_BYTES)
             found = re.search(rf"{DJI}{name}\s*(?:=\s*[\"']|>)\s*([-+.\d]+)".encode(), content)
             digits = _finite([found[1].decode()]) if found else []
             return digits[0] if digits and abs(digits[0] - value) < 1e-4 else value

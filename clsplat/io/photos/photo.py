@@ -26,6 +26,7 @@ CONVERT = "convert it to JPEG or PNG"
 COLOUR_MODELS = (0, 1, 2, 3, 5, 6)
 FLOAT_SAMPLES = ("half", "float")
 Levels = tuple[float, float]  # samples of 16 bits that become black and white
+Source = str | Path | bytes | NDArray[Any]  # a file, an encoded photo, or pixels: see `ArrayInput`
 LUMINANCE_CHANNELS, LINEAR_FORMATS = ("Y", "I", "L"), ("openexr", "hdr")
 
 
@@ -157,9 +158,57 @@ def _colour_channels(spec: Any, kind: str, name: str | Path) -> tuple[int, int, 
     return (0, 1, 2) if spec.nchannels > 2 and kind not in LINEAR_FORMATS else (0, 0, 0)
 
 
+class ArrayInput:
+    """An array with those methods of OpenImageIO's input that `Photo` calls.
+
+    Parameters
+    ----------
+    pixels : uint8, uint16 or float32 [H, W] or [H, W, C], sRGB; floats in 0 to 1. One channel is
+        grey; a second or a fourth one is alpha.
+    """
+
+    def __init__(self, pixels: NDArray[Any]) -> None:
+        import OpenImageIO as oiio
+
+        if pixels.ndim not in (2, 3) or pixels.dtype not in (np.uint8, np.uint16, np.float32) or (
+                pixels.ndim == 3 and not 1 <= pixels.shape[2] <= 4) or not pixels.size:
+            raise InputError(f"a photo is {pixels.dtype}{list(pixels.shape)}; give uint8, uint16 "
+                             "or float32 [H, W, 3]")
+        self._pixels = pixels.reshape(*pixels.shape[:2], -1)
+        height, width, channels = self._pixels.shape
+        kind = "float" if pixels.dtype == np.float32 else str(pixels.dtype)
+        self._spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(kind))
+        self._spec.channelnames = (("Y", "A"), ("R", "G", "B", "A"))[channels > 2][:channels]
+        self._spec.alpha_channel = channels - 1 if channels in (2, 4) else -1
+        self._spec.attribute("oiio:ColorSpace", "sRGB")
+
+    def spec(self) -> Any:
+        """The header."""
+        return self._spec
+
+    def format_name(self) -> str:
+        """No format of files."""
+        return "array"
+
+    def geterror(self) -> str:
+        """There is none."""
+        return ""
+
+    def read_scanlines(self, begin: int, end: int, *others: Any) -> NDArray[Any]:
+        """Rows in the kind of samples that stands last, "uint8" or "uint16"."""
+        rows, kind = self._pixels[begin:end], np.dtype(others[-1])
+        if rows.dtype == kind:
+            return rows
+        whole = 1.0 if rows.dtype == np.float32 else float(np.iinfo(rows.dtype).max)
+        scaled = np.clip(np.nan_to_num(rows), 0, whole) * (np.iinfo(kind).max / whole)
+        samples: NDArray[Any] = (scaled + 0.5).astype(kind)
+        return samples
+
+
 @contextmanager
-def opened(source: str | Path | bytes) -> Iterator[Photo]:
-    """Open a photo by its path or its encoded bytes; InputError if it is not a photo."""
+def opened(source: Source) -> Iterator[Photo]:
+    """Open a photo: a path, encoded bytes, or an array as `ArrayInput` takes it; InputError if it
+    is not a photo."""
     with _input(source) as (name, image):
         yield Photo(name, image)
 
@@ -180,10 +229,13 @@ def first_channel(path: Path) -> NDArray[Any]:
 
 
 @contextmanager
-def _input(source: str | Path | bytes) -> Iterator[tuple[str | Path, Any]]:
+def _input(source: Source) -> Iterator[tuple[str | Path, Any]]:
     """The name of an image for messages, and OpenImageIO's input of it."""
+    if isinstance(source, np.ndarray):
+        yield f"array {list(source.shape)}", ArrayInput(source)
+        return
     if isinstance(source, bytes):
-        name = f"packed image of {len(source)} bytes"
+        name = f"encoded image of {len(source)} bytes"
         with memory_file(name, source) as path:
             yield from _checked_input(path, name, len(source))
         return

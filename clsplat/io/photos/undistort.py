@@ -92,19 +92,20 @@ def undistorted(scene: Scene, folder: Path, threads: int = 1, make: bool = True)
 
     Parameters
     ----------
-    folder : of the files; it is created if needed.
+    folder : of the files; it is created if needed. Views whose photos are no files keep the lens.
     threads : that undistort photos, or fewer where these are so large that HOST_BYTES would not
         hold as many.
     make : whether files that are missing or out of date are made; else their views keep the lens.
     """
-    if not any(view.lens for view in scene.views):
+    distorted = [view for view in scene.views if view.lens and isinstance(view.source, Path)]
+    if not distorted:
         return scene
     if make:
         make_folder(folder)
     groups: dict[Lens, list[View]] = {}  # views that share a map of pixels
-    for view in scene.views:
-        if view.lens:
-            groups.setdefault(view.lens, []).append(view)
+    for view in distorted:
+        assert view.lens is not None
+        groups.setdefault(view.lens, []).append(view)
     kept: dict[View, View] = {}
     largest = max(lens.width * lens.height for lens in groups)
     with ThreadPoolExecutor(max(1, min(threads, HOST_BYTES // (PIXEL_BYTES * largest)))) as pool:
@@ -121,7 +122,7 @@ def undistorted(scene: Scene, folder: Path, threads: int = 1, make: bool = True)
 
 def _paths(view: View, folder: Path) -> tuple[Path, Path, Path]:
     """The files of a view: its undistorted photo, its mask and the record of both."""
-    assert isinstance(view.source, Path)  # packed scenes have no lenses
+    assert isinstance(view.source, Path)
     readable = re.sub(r"[^\w.-]", "_", view.name, flags=re.ASCII)[:80]
     stem = f"{readable}.{hashlib.sha256(view.name.encode()).hexdigest()[:8]}"
     suffix = ".jpg" if view.source.suffix.lower() in (".jpg", ".jpeg") else ".png"
@@ -173,7 +174,7 @@ def _content(view: View) -> str:
     return hashlib.sha256(repr(facts).encode()).hexdigest()
 
 
-def _file_facts(path: Path | bytes | None) -> list[Any] | None:
+def _file_facts(path: object) -> list[Any] | None:
     """What tells whether a file has changed; None without one."""
     if not isinstance(path, Path):
         return None

@@ -27,7 +27,7 @@ from clsplat.io.reason import reason
 from clsplat.io.records import digest_of, object_of, write_object
 from clsplat.io.runs.exposures import EXPOSURES, read_exposures, write_exposures
 from clsplat.io.runs.run import CITY, FILES, RunFolder
-from clsplat.io.scenes.linked import link_again, write_linked
+from clsplat.io.scenes.write import link_again, write_scene
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region
 from clsplat.response import Response
@@ -176,7 +176,7 @@ class CityFolder:
                     visits: Mapping[str, float] | None = None) -> BlockFolder:
         """Write a block as an ordinary scene folder.
 
-        Photos are linked, or copied if the scene is packed. An existing block is left as it is.
+        Photos are linked. An existing block is left as it is.
 
         Parameters
         ----------
@@ -213,7 +213,7 @@ class CityFolder:
         try:
             shutil.rmtree(partial, ignore_errors=True)
             partial.mkdir(parents=True)
-            write_linked(partial, part)
+            write_scene(partial, part)
             write_object(partial / REGION, {**region.record(), WINDOWS: dict(windows),
                                              VISITS: dict(visits or {})})
             if exposures is not None:

@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
@@ -20,7 +20,7 @@ CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # control characters 
 
 
 def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]],
-                  sources: Sequence[Path | bytes], offset: ArrayLike | None = None) -> Scene:
+                  sources: Sequence[Path]) -> Scene:
     """Check plain arrays and build their scene, not recentred, with its views sorted by name.
 
     Parameters
@@ -30,8 +30,7 @@ def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]]
         focals and centres float64[V, 2] and sizes int[V, 2], pixels; points float64[N, 3] and
         colours uint8[N, 3]; perhaps observations int[M, 2], rows (point, view) in any order, and
         lenses [V] (Lens or None).
-    sources : paths or encoded images of the V views.
-    offset : float64[3], the scene's offset if its origin was moved before.
+    sources : photos of the V views.
     """
     model = {key: values.astype(np.float64) if values.dtype.kind == "f" else values
              for key, values in model.items()}
@@ -40,8 +39,7 @@ def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]]
         raise InputError(f"{path}: the model has no registered image; reconstruct the scene again")
     _check_poses(path, names, model)
     _check_points(path, model["points"])
-    origin = np.zeros(3) if offset is None else np.array(offset, np.float64)
-    cameras = (Camera(width, height, focal, centre, rotation, translation, offset=origin)
+    cameras = (Camera(width, height, focal, centre, rotation, translation)
                for (width, height), focal, centre, rotation, translation in zip(
                    model["sizes"].tolist(), map(tuple, model["focals"].tolist()),
                    map(tuple, model["centres"].tolist()),
@@ -52,7 +50,7 @@ def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]]
                                          model.get("observations"))
     return Scene(name, tuple(sorted(views, key=lambda view: view.name)),
                  np.array(model["points"], np.float64), np.array(model["colours"], np.uint8),
-                 origin, Path(path), observations)
+                 path=Path(path), observations=observations)
 
 
 def _checked_names(path: str | Path, names: NDArray[Any]) -> list[str]:

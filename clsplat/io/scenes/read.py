@@ -14,8 +14,6 @@ from clsplat.io.photos.masks import with_masks
 from clsplat.io.runs.city import attached
 from clsplat.io.scenes.citygs import has_parts, read_citygs
 from clsplat.io.scenes.colmap import has_model, read_colmap
-from clsplat.io.scenes.linked import PACKED
-from clsplat.io.scenes.packed import read_packed
 from clsplat.io.scenes.projects.metashape import find_metashape, read_metashape
 from clsplat.io.scenes.projects.opensfm import find_opensfm, read_opensfm
 from clsplat.io.scenes.projects.opf import find_opf, read_opf
@@ -37,7 +35,7 @@ def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
     Parameters
     ----------
     path : a folder with a COLMAP model, transforms.json, the layout of CityGS or a project of
-        OpenSfM or ODM, Metashape, RealityScan or OPF; the file of such a project; a packed .npz.
+        OpenSfM or ODM, Metashape, RealityScan or OPF; the file of such a project.
     images : the folder of its photos, relative to the scene's; "": images/, see `photo_folder`.
     """
     path = Path(path)
@@ -45,30 +43,23 @@ def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
         return placed(attached(with_masks(_read_folder(path, images), path), path), path)
     if not os.path.exists(path):
         raise InputError(f"{path}: no such scene; give a folder of photos, a folder with images "
-                         "and sparse/0, or a packed .npz")
-    if path.suffix == ".npz":
-        _no_images(path, images, "a packed scene")
-        return read_packed(path)
+                         "and sparse/0, or the file of a project")
     project = _read_project(path, images)
     if project is not None:
         return placed(with_masks(project, path.parent), path.parent)
     raise InputError(f"{path}: not a scene; give a folder with images and sparse/0, the file of a "
                      "project (Metashape's XML, RealityScan's CSV, OpenSfM's reconstruction.json, "
-                     ".opf), or a packed .npz")
+                     "OPF)")
 
 
 def is_scene(folder: Path) -> bool:
     """Whether a folder holds a scene of any layout, which need not be in order."""
-    return (folder / PACKED).is_file() or (folder / "train" / "metadata").is_dir() or any(
+    return (folder / "train" / "metadata").is_dir() or any(
         recognises(folder) for recognises, _ in LAYOUTS) or has_model(folder) or any(
         find(folder) for find, _ in PROJECTS)
 
 
 def _read_folder(path: Path, images: str) -> Scene:
-    packed = path / PACKED
-    if packed.is_file():  # a block of a packed scene
-        _no_images(path, images, "a packed scene")
-        return replace(read_packed(packed), name=path.resolve().name, path=path)
     for recognises, read in LAYOUTS:
         if recognises(path):
             _no_images(path, images, "a scene that names its photos itself")

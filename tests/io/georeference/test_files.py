@@ -21,7 +21,6 @@ from clsplat.io.georeference.files import (
 )
 from clsplat.io.models.ply import read_ply, read_vertices, write_ply
 from clsplat.io.runs.run import RunFolder
-from clsplat.io.scenes.packed import read_packed, write_packed
 from clsplat.io.scenes.read import read_scene
 from tests.data.fields import field
 from tests.data.tiny_model import write_scene
@@ -126,9 +125,6 @@ def test_scenes_keep_their_place(tmp_path):
     write_orientation(tmp_path / "scene", [0, 3, 4])
     scene = read_scene(tmp_path / "scene")
     assert scene.georeference == HERE and scene.up.tolist() == [0, 0.6, 0.8]
-    write_packed(scene, tmp_path / "scene.npz")
-    packed = read_packed(tmp_path / "scene.npz")
-    assert packed.georeference == HERE and packed.up.tolist() == [0, 0.6, 0.8]
     for other in (scene.part([0, 1]), scene.reduced(2), scene.recentred(), scene.normalised()):
         assert other.georeference == HERE and other.up.tolist() == [0, 0.6, 0.8]
 

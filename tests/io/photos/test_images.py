@@ -8,7 +8,14 @@ import OpenImageIO as oiio
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.photos.images import image_size, read_image, write_image
+from clsplat.io.photos.images import (
+    eight_bits,
+    image_size,
+    read_alpha,
+    read_image,
+    write_image,
+)
+from clsplat.io.photos.photo import opened
 from clsplat.io.photos.resample import resample
 
 
@@ -113,8 +120,23 @@ def test_not_an_image(tmp_path):
         for function in (read_image, image_size):
             with pytest.raises(InputError, match=path.name):
                 function(path)
-    with pytest.raises(InputError, match="packed image"):
+    with pytest.raises(InputError, match="encoded image"):
         read_image(b"hello " * 99)
+
+
+def test_arrays_are_photos():
+    grey = np.arange(12, dtype=np.uint16).reshape(3, 4) * 5000
+    with opened(grey) as photo:
+        assert photo.is_deep and (photo.width, photo.height) == (4, 3) and not photo.has_alpha
+    assert np.array_equal(read_image(grey)[..., 1], np.rint(grey / 257))
+    assert np.array_equal(read_image(grey, levels=(0, 55000))[..., 2], np.rint(grey / 55000 * 255))
+    with_alpha = np.random.default_rng(0).random((3, 4, 4), np.float32) * 2 - 0.5
+    with_alpha[0, 0, 0] = np.nan
+    assert np.array_equal(read_image(with_alpha), eight_bits(with_alpha[..., :3]))
+    assert np.array_equal(read_alpha(with_alpha), eight_bits(with_alpha[..., 3]))
+    for wrong in (np.zeros((3, 4, 5), np.uint8), np.zeros((3, 4)), np.zeros(3, np.uint8)):
+        with pytest.raises(InputError, match="give uint8, uint16 or float32"):
+            read_image(wrong)
 
 
 def test_unwritable(tmp_path):

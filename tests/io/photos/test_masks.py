@@ -7,7 +7,6 @@ from PIL import Image
 from clsplat.errors import InputError
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.views import read_valid
-from clsplat.io.scenes.packed import read_packed, write_packed
 from clsplat.io.scenes.read import read_scene
 from clsplat.training.photos import decode
 from tests.data.tiny_model import HEIGHT, WIDTH, write_scene
@@ -68,16 +67,6 @@ def test_transparent_pixels_do_not_count(folder):
     scene = read_scene(folder)
     assert any("1 of 4 photos have an alpha channel" in note for note in scene.notes)
     assert np.array_equal(read_valid(scene.views[2]), half() & (np.arange(HEIGHT) > 5)[:, None])
-
-
-@pytest.mark.parametrize("downscale", [1, 2])
-def test_masks_of_packed_scenes(folder, tmp_path, downscale):
-    put_mask(folder, "photo_1.png", half())
-    write_packed(read_scene(folder), tmp_path / "town.npz", downscale)
-    packed = read_packed(tmp_path / "town.npz")
-    assert [read_valid(view) is None for view in packed.views] == [True, False, True, True]
-    small = half(WIDTH // downscale, HEIGHT // downscale)
-    assert np.array_equal(read_valid(packed.views[1]), small)
 
 
 @pytest.mark.parametrize("spoil, words", [

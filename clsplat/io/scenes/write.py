@@ -1,0 +1,92 @@
+"""Writes a scene as a folder with a COLMAP model."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.errors import InputError
+from clsplat.io.folders import link_file, make_folder
+from clsplat.io.georeference.files import write_placement
+from clsplat.io.photos.images import encode_image
+from clsplat.io.photos.mask_files import MASKS
+from clsplat.io.photos.views import read_photo, read_valid
+from clsplat.io.regular import native
+from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.scene import Scene, View
+
+DEPTH = "depth"  # folder of the depth maps
+QUALITY = 96  # of JPEG, of photos that become smaller
+
+
+def write_scene(folder: Path, scene: Scene, downscale: float = 1.0, linked: bool = True) -> None:
+    """Write a scene as a folder that `read_scene` reads, in original coordinates.
+
+    Photos, masks and depth maps stay the files that they are. Photos that are encoded anew have
+    neither lens nor levels of their own: those that become smaller, those of a lens, arrays, and
+    photos with samples that are stretched (with the levels of the whole scene).
+
+    Parameters
+    ----------
+    downscale : divides width and height of the photos.
+    linked : whether files are links; else they are copied.
+    """
+    make_folder(folder)
+    write_placement(folder, scene)
+    encoded = {view.name for view in scene.views if downscale != 1 or view.levels or view.lens
+               or not isinstance(view.source, Path)}
+    views = [replace(view, camera=view.camera.reduced(downscale)) for view in scene.views]
+    known = (np.zeros((0, 2), int) if scene.observations is None else scene.observations)
+    pixels = np.empty((len(known), 2))
+    for number, view in enumerate(views):
+        rows = np.flatnonzero(known[:, 1] == number)
+        pixels[rows] = view.camera.project(scene.points[known[rows, 0]])[0]
+    write_colmap(
+        folder / "sparse" / "0",
+        [replace(view, camera=view.camera.shifted(-scene.offset)) for view in views],
+        scene.points + scene.offset, scene.colours,
+        Tracks(known[:, 0], known[:, 1], pixels))
+    kept = [view if view.name not in encoded else
+            replace(view, source=b"", mask=None, depth=None if view.lens else view.depth)
+            for view in views]
+    for file, link in _files(folder, kept):
+        link_file(file, link, "symbolic" if linked else "copy")
+    for view in views:
+        if view.name in encoded:
+            _write_encoded(folder, view, "png" if downscale == 1 and not view.lens else "jpg")
+
+
+def _write_encoded(folder: Path, view: View, suffix: str) -> None:
+    """Write the photo of a view as its camera shows it, and the mask of the pixels that count."""
+    valid = read_valid(view)
+    images = [(folder / "images" / native(view.name), read_photo(view), suffix)]
+    if valid is not None:
+        images.append((folder / MASKS / native(f"{view.name}.png"),
+                       np.repeat(valid[:, :, None], 3, axis=2) * np.uint8(255), "png"))
+    for path, pixels, form in images:
+        make_folder(path.parent)
+        path.write_bytes(encode_image(pixels, form, QUALITY, path))
+
+
+def _files(folder: Path, views: Iterable[View]) -> Iterator[tuple[Path, Path]]:
+    """(photo, mask or depth map, its place in a folder), of those that are files."""
+    for view in views:
+        if isinstance(view.source, Path):
+            yield view.source, folder / "images" / native(view.name)
+        if isinstance(view.mask, Path):
+            yield view.mask, folder / MASKS / native(f"{view.name}.png")
+        if view.depth:
+            yield view.depth, folder / DEPTH / native(f"{view.name}{view.depth.suffix}")
+
+
+def link_again(folder: Path, views: Iterable[View]) -> None:
+    """Replace the links of a folder to photos that were moved since."""
+    for file, link in _files(folder, views):
+        if link.is_symlink() and not link.exists():
+            try:
+                link.unlink()
+            except OSError as error:
+                raise InputError(f"{link}: cannot be replaced ({error.strerror}); check that its "
+                                 "folder may be written") from None
+            link_file(file, link)
