@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from clsplat.errors import InputError
 
@@ -182,6 +183,19 @@ class Camera:
         away = np.asarray(offset, np.float64)
         return replace(self, translation=self.translation + self.rotation @ away,
                        offset=self.offset + away)
+
+    def moved(self, turn: ArrayLike, shift: ArrayLike) -> Camera:
+        """The same camera with another pose.
+
+        Parameters
+        ----------
+        turn : float[3], radians; a rotation vector in the axes of this camera, by which all that it
+            sees turns about its centre.
+        shift : float[3], world units; by which its centre moves, in the axes of this camera.
+        """
+        turned = Rotation.from_rotvec(np.asarray(turn, np.float64)).as_matrix()
+        return replace(self, rotation=turned @ self.rotation,
+                       translation=turned @ (self.translation - np.asarray(shift, np.float64)))
 
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Project points into the image.

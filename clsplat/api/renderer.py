@@ -1,5 +1,6 @@
 """`clsplat.render` and `clsplat.Renderer`: images of gaussians, and gradients back to them."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,20 +10,24 @@ from numpy.typing import NDArray
 from clsplat.api import gaussians as api
 from clsplat.api.device import opened_device
 from clsplat.camera import Camera, numbers, shown
-from clsplat.constants import NO_ROW
+from clsplat.constants import COUNT_FAILED, NO_ROW
 from clsplat.device import Device as OpenedDevice
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians, check_field
 from clsplat.io.photos.images import encode_image
 from clsplat.rendering import pipeline
-from clsplat.rendering.slabs import gaussian_limit, open_model
+from clsplat.rendering.slabs import OpenedRenderer, SlabFrame, gaussian_limit, open_model
 from clsplat.scene import NEAR_SHARE
+from clsplat.training.rooms import Rooms
+
+IN_FLIGHT = 8  # frames that are enqueued before the first one is read
 
 
-def render(model: Gaussians, camera: Camera, *, device: OpenedDevice | None = None,
+def render(model: Gaussians, camera: Camera | None = None, *,
+           cameras: Iterable[Camera] | None = None, device: OpenedDevice | None = None,
            depth: bool = False, background: tuple[float, float, float] = (0.0, 0.0, 0.0),
            near: float | None = None, antialiased: bool = False) -> Any:
-    """Render gaussians from a camera.
+    """Render gaussians from a camera, or from several.
 
     A model that is larger than the device is rendered in slabs of depth.
 
@@ -30,6 +35,8 @@ def render(model: Gaussians, camera: Camera, *, device: OpenedDevice | None = No
     ----------
     model : the gaussians.
     camera : the view; the offset of its world may differ from the model's.
+    cameras : views, in place of `camera`. The device goes from one to the next without waiting for
+        the host.
     device : an open device; None: the best one that works.
     depth : whether to return depths as well.
     background : red, green and blue, 0 to 1.
@@ -41,17 +48,49 @@ def render(model: Gaussians, camera: Camera, *, device: OpenedDevice | None = No
     -------
     float32[H, W, 3], linear in the gaussians' colours, mostly 0 to 1; with `depth` a pair of it and
     float32[H, W], the mean depth along the camera's axis in world units, 0 where there is no
-    gaussian.
+    gaussian. With `cameras` a list of these.
 
     Raises
     ------
     clsplat.ClsplatError : if no device works, or the frame does not fit its memory.
     """
     background, near = _checked(model, background, near)
+    if camera is not None and cameras is not None:
+        raise InputError("render: give a camera or cameras, not both")
+    moved = [_in_frame_of(model, each) for each in ([camera] if cameras is None else cameras)]
     opened, rows = open_model(opened_device(device), model, near, antialiased, background)
-    moved = _in_frame_of(model, camera)
-    frame = opened.render(rows, opened.pack(moved), camera.width, camera.height,
-                          model.sh_degree, with_depth=depth)
+    frames = [_result(frame, depth) for frame in _frames(opened, rows, moved, model, depth)]
+    return frames[0] if cameras is None else frames
+
+
+def _frames(opened: OpenedRenderer, rows: Any, cameras: list[Camera], model: Gaussians,
+            depth: bool) -> Iterator[pipeline.Frame | SlabFrame]:
+    """The frames of cameras. Those after the first have the room that frames before them needed,
+    so that nothing waits; if that is too little, a frame is rendered again."""
+    def one(camera: Camera, **room: Any) -> Any:
+        return opened.render(rows, opened.pack(camera), camera.width, camera.height,
+                             model.sh_degree, with_depth=depth, **room)
+
+    if len(cameras) == 1 or not isinstance(opened, pipeline.Renderer):
+        yield from map(one, cameras)
+        return
+    rooms = Rooms(opened)
+    for begin in range(0, len(cameras), IN_FLIGHT):
+        sent = []
+        for camera in cameras[begin:begin + IN_FLIGHT]:
+            size = camera.width, camera.height
+            if not rooms.knows(*size, depth):
+                rooms.enlarge(rows, opened.pack(camera), *size)
+            sent.append(one(camera, room=rooms.room(model.count, *size, depth)))
+        for camera, frame in zip(cameras[begin:], sent):
+            if frame.counts.download()[COUNT_FAILED]:
+                rooms.enlarge(rows, frame.camera, camera.width, camera.height)
+                frame = one(camera)
+            yield frame
+
+
+def _result(frame: pipeline.Frame | SlabFrame, depth: bool) -> Any:
+    """What `render` returns for a frame."""
     image = _image(frame.image)
     if not depth:
         return image
@@ -74,6 +113,7 @@ class Frame:
     depth: NDArray[np.float32] | None
     transmittance: NDArray[np.float32]
     _frame: Any = field(repr=False)
+    _camera: Camera = field(repr=False)
 
     def __repr__(self) -> str:
         height, width = self.transmittance.shape
@@ -88,8 +128,8 @@ class Renderer:
 
     Parameters
     ----------
-    device : an open device; None: the best one that works.
     model : the initial gaussians; they must fit the device's memory.
+    device : an open device; None: the best one that works.
     background, near, antialiased : as for `clsplat.render`.
 
     Raises
@@ -97,7 +137,7 @@ class Renderer:
     clsplat.ClsplatError : if the model does not fit the device.
     """
 
-    def __init__(self, device: OpenedDevice | None, model: Gaussians, *,
+    def __init__(self, model: Gaussians, device: OpenedDevice | None = None, *,
                  background: tuple[float, float, float] = (0.0, 0.0, 0.0),
                  near: float | None = None, antialiased: bool = False) -> None:
         background, near = _checked(model, background, near)
@@ -156,11 +196,13 @@ class Renderer:
                                       self.model.sh_degree, with_depth=depth)
         depths = frame.blended.depth.download().astype(np.float32) if depth else None
         return Frame(_image(frame.image), depths,
-                     frame.blended.transmittance.download().astype(np.float32), frame)
+                     frame.blended.transmittance.download().astype(np.float32), frame, camera)
 
     def backward(self, frame: Frame, grad_image: Any, grad_depth: Any = None,
-                 grad_transmittance: Any = None) -> dict[str, NDArray[np.float32]]:
-        """Gradients of a loss by the gaussians (the adjoint of `forward`).
+                 grad_transmittance: Any = None, *, pose: bool = False
+                 ) -> dict[str, NDArray[np.float32]]:
+        """Gradients of a loss by the gaussians, and by the pose of the camera (the adjoint of
+        `forward`).
 
         Parameters
         ----------
@@ -168,11 +210,13 @@ class Renderer:
         grad_image : float[H, W, 3], gradient of the loss by the image.
         grad_depth : float[H, W], by `frame.depth`, for a frame with depth.
         grad_transmittance : float[H, W], by `frame.transmittance`, for a frame with depth.
+        pose : whether the gradient by the pose is wanted.
 
         Returns
         -------
         Field name -> float32 of the field's shape; 0 for gaussians that the camera does not see, or
-        whose gradient is not finite.
+        whose gradient is not finite. With `pose` also "turn" and "shift", float32[3]: the gradient
+        by the arguments of `Camera.moved` where these are 0.
 
         Raises
         ------
@@ -182,18 +226,23 @@ class Renderer:
         if frame.depth is None and not (grad_depth is None and grad_transmittance is None):
             raise InputError("gradients of depth or transmittance need a frame with depth: "
                              "forward(camera, depth=True)")
-        grads = [self._gradient(grad_image, "grad_image", (height, width, 3))]
-        for name, values in (("grad_depth", grad_depth), ("grad_transmittance",
-                                                          grad_transmittance)):
-            grads.append(None if values is None else
-                         self._gradient(values, name, (height, width)))
-        gradients = self._pipeline.adjoint(self._rows, frame._frame, *grads)
+        by_depth, by_transmittance = (
+            None if values is None else self._gradient(values, name, (height, width))
+            for name, values in (("grad_depth", grad_depth),
+                                 ("grad_transmittance", grad_transmittance)))
+        gradients = self._pipeline.adjoint(
+            self._rows, frame._frame, self._gradient(grad_image, "grad_image", (height, width, 3)),
+            by_depth, by_transmittance, with_pose=pose)
         rows = gradients.rows.download()
         finite = rows != NO_ROW
         dense = {}
         for name, values in gradients.fields.items():
             dense[name] = np.zeros(self._rows[name].shape, np.float32)
             dense[name][rows[finite]] = values.download()[finite]
+        if gradients.pose_terms is not None:  # by a turn of what is seen, and by its positions
+            turn, away = np.split(gradients.pose_terms.download()[finite].sum(0, np.float64), 2)
+            dense |= {"turn": turn.astype(np.float32),
+                      "shift": (-frame._camera.rotation @ away).astype(np.float32)}
         return dense
 
     def _gradient(self, values: Any, name: str, shape: tuple[int, ...]) -> Any:
@@ -227,7 +276,7 @@ def _near(model: Gaussians) -> float:
     return NEAR_SHARE * (float(np.median(away)) or 1.0)
 
 
-def _in_frame_of(model: Gaussians, camera: Camera) -> Camera:
+def _in_frame_of(model: Gaussians, camera: Camera | None) -> Camera:
     """The camera in the model's local coordinates; InputError if it can draw nothing."""
     if not isinstance(camera, Camera):
         raise InputError(f"camera {shown(camera)}: not a camera; give clsplat.Camera, such "

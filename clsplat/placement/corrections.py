@@ -35,9 +35,7 @@ class Correction:
         ----------
         camera : as it was given.
         """
-        turned = Rotation.from_rotvec(self.turn).as_matrix()
-        return replace(camera, rotation=turned @ camera.rotation,
-                       translation=turned @ (camera.translation - self.shift))
+        return camera.moved(self.turn, self.shift)
 
     @property
     def degrees(self) -> float:

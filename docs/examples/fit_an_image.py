@@ -14,7 +14,7 @@ target = np.stack([0.5 + 0.5 * np.sin(9 * x), 0.5 + 0.5 * np.cos(7 * y), (x > y)
 
 points = rng.uniform((-1.7, -0.2, -1.1), (1.7, 0.2, 1.1), (COUNT, 3))
 model = clsplat.Gaussians.from_points(points, rng.integers(0, 256, (COUNT, 3), np.uint8), 0)
-renderer = clsplat.Renderer(clsplat.Device(), model)
+renderer = clsplat.Renderer(model)
 fields = {name: model.rows[name].copy() for name in RATES}
 first = {name: np.zeros_like(values) for name, values in fields.items()}
 second = {name: np.zeros_like(values) for name, values in fields.items()}

@@ -28,7 +28,7 @@ if __name__ == "__main__":
     camera = clsplat.Camera.looking_at((0, 0, 0), (0, -3, 0), width=64, height=48)
     points = np.random.default_rng(0).uniform(-1, 1, (100, 3))
     model = clsplat.Gaussians.from_points(points, np.full((100, 3), 200, np.uint8), sh_degree=1)
-    renderer = clsplat.Renderer(clsplat.Device(), model)
+    renderer = clsplat.Renderer(model)
     tensors = [torch.tensor(model.rows[name], requires_grad=True) for name in FIELDS]
     optimiser = torch.optim.Adam(tensors, lr=0.02)
     for _ in range(50):

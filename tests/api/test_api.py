@@ -84,7 +84,7 @@ def test_a_render_is_what_evaluations_see(run, scene, item_device):
 
 def test_the_name_of_a_device_is_no_device(scene, tmp_path):
     for call in (lambda: clsplat.render(blob(), CAMERA, device="cpu"),
-                 lambda: clsplat.Renderer("cpu", blob()),
+                 lambda: clsplat.Renderer(blob(), "cpu"),
                  lambda: clsplat.evaluate(blob(), scene, device="cpu"),
                  lambda: clsplat.train(scene, tmp_path / "run", device="cpu")):
         with pytest.raises(clsplat.ClsplatError, match=r"give clsplat.Device\('cpu'\)"):
@@ -117,6 +117,19 @@ def test_depth_is_the_distance_of_what_is_seen(item_device):
     assert np.allclose(behind[0, 0], (0.1, 0.2, 0.3))
 
 
+def test_a_batch_is_its_frames(item_device):
+    """Also where a frame needs far more room than those before it, and in other sizes."""
+    far, near = (clsplat.Camera.looking_at((0, 0, 0), (0.2, -distance, 0.4), width=40, height=28)
+                 for distance in (60, 2))
+    cameras = [far, far, near, *[CAMERA] * 7, CAMERA.resized(64, 48), near]
+    frames = clsplat.render(blob(), cameras=iter(cameras), device=item_device, depth=True)
+    assert len(frames) == len(cameras)
+    for camera, (image, depth) in zip(cameras, frames):
+        expected = clsplat.render(blob(), camera, device=item_device, depth=True)
+        assert np.array_equal(image, expected[0]) and np.array_equal(depth, expected[1])
+    assert clsplat.render(blob(), cameras=[], device=item_device) == []
+
+
 @pytest.mark.slow  # double-precision kernels take long to compile
 @pytest.mark.parametrize("depth", [False, True])
 def test_backward_is_the_derivative_of_forward(double_device, depth):
@@ -124,23 +137,29 @@ def test_backward_is_the_derivative_of_forward(double_device, depth):
     model.rows["log_scales"][:] = np.log((2.0, 1.5, 1.8))
     model.rows["positions"] *= 0.2
     model.rows["opacity_logits"][:] = (-0.5, 0, 0.5)
-    renderer = clsplat.Renderer(double_device, model)
+    renderer = clsplat.Renderer(model, double_device)
     frame = renderer.forward(CAMERA, depth=depth)
     rng = np.random.default_rng(2)
     weights = rng.normal(size=frame.image.shape)
     by_depth = rng.normal(size=weights.shape[:2]) if depth else None
-    gradients = renderer.backward(frame, weights, by_depth, by_depth)
+    gradients = renderer.backward(frame, weights, by_depth, by_depth, pose=True)
 
     def loss(name, step):
-        renderer.update(**{name: model.rows[name] + step * direction[name]})
-        seen = renderer.forward(CAMERA, depth=depth)
-        renderer.update(**{name: model.rows[name]})
+        camera = CAMERA
+        if name in ("turn", "shift"):
+            camera = CAMERA.moved(**{"turn": np.zeros(3), "shift": np.zeros(3),
+                                     name: step * direction[name]})
+        else:
+            renderer.update(**{name: model.rows[name] + step * direction[name]})
+        seen = renderer.forward(camera, depth=depth)
+        renderer.update(**model.rows)
         return (weights * seen.image).sum() + (
             0 if not depth else (by_depth * (seen.depth + seen.transmittance)).sum())
 
     direction = {name: rng.normal(size=values.shape) for name, values in gradients.items()}
     for name, values in gradients.items():
-        assert values.dtype == np.float32 and values.shape == model.rows[name].shape
+        assert values.dtype == np.float32 and values.shape == (
+            model.rows[name].shape if name in model.rows else (3,))
         step = 2e-3  # long, for images come as float32
         slope = (loss(name, step) - loss(name, -step)) / (2 * step)
         expected = (values * direction[name]).sum()
@@ -149,7 +168,7 @@ def test_backward_is_the_derivative_of_forward(double_device, depth):
 
 
 def test_parameters_are_replaced_and_read_back(item_device):
-    renderer = clsplat.Renderer(item_device, blob())
+    renderer = clsplat.Renderer(blob(), item_device)
     before = renderer.forward(CAMERA).image
     renderer.update(positions=np.full((30, 3), 100.0))
     assert not renderer.forward(CAMERA).image.any() and before.any()
@@ -177,7 +196,7 @@ def test_parameters_are_replaced_and_read_back(item_device):
      "depth=True")])
 def test_what_does_not_fit_is_said(item_device, wrong, words):
     with pytest.raises(clsplat.ClsplatError, match=words):
-        wrong(clsplat.Renderer(item_device, blob()))
+        wrong(clsplat.Renderer(blob(), item_device))
 
 
 def test_training_is_that_of_the_command_line(run, scene, item_device, tmp_path):
@@ -251,7 +270,7 @@ def test_mistakes_are_one_line(wrong, words):
 def test_objects_show_themselves_in_notebooks(run, scene, item_device):
     assert "32, 320 x 240 pixels" in scene._repr_html_() and "4,400 points" in repr(scene)
     assert "data:image/svg+xml" in run._repr_html_() and "finished" in repr(run)
-    frame = clsplat.Renderer(item_device, blob()).forward(CAMERA)
+    frame = clsplat.Renderer(blob(), item_device).forward(CAMERA)
     assert frame._repr_png_().startswith(b"\x89PNG")
     assert "dB" in run.evaluate(item_device)._repr_html_()
     assert "30, SH degree 1" in repr(blob()) and "30 gaussians" in blob()._repr_html_()
@@ -293,6 +312,12 @@ def test_example_of_rendering(run, tmp_path):
 def test_example_of_fitting_an_image():
     quality = [float(line.split()[2]) for line in ran("fit_an_image.py").splitlines()]
     assert quality[0] < 10 and quality[-1] > 27
+
+
+@pytest.mark.slow
+def test_example_of_a_pose():
+    away = [float(line.split()[2]) for line in ran("fit_a_pose.py").splitlines()]
+    assert away[0] > 0.2 and away[-1] < 0.02
 
 
 @pytest.mark.slow

@@ -75,7 +75,8 @@ def test_a_camera_that_can_draw_nothing_is_one_line(changes, words):
     ({"near": 0}, "near 0: expects a depth above 0"), ({"near": -1.0}, "near -1"),
     ({"near": "close"}, "near close"), ({"near": (1, 2)}, "near"),
     ({"device": "cpu"}, "give clsplat.Device"), ({"model": None}, "not gaussians"),
-    ({"model": "model.ply"}, "Gaussians.load"), ({"camera": None}, "not a camera")])
+    ({"model": "model.ply"}, "Gaussians.load"), ({"camera": None}, "not a camera"),
+    ({"cameras": [None]}, "not both")])
 def test_an_argument_of_render_is_one_line(arguments, words):
     given = {"model": clsplat.Gaussians(rows(), 1), "camera": DOWN, **arguments}
     with pytest.raises(clsplat.ClsplatError, match=words):
@@ -83,7 +84,7 @@ def test_an_argument_of_render_is_one_line(arguments, words):
 
 
 def test_a_renderer_on_the_default_device_refuses_what_does_not_fit():
-    renderer = clsplat.Renderer(None, clsplat.Gaussians(rows(), 1))
+    renderer = clsplat.Renderer(clsplat.Gaussians(rows(), 1))
     before = renderer.download().positions
     for name, values, words in (
             ("positions", "abc", "expects real numbers"), ("positions", None, "expects real"),
