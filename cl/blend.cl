@@ -12,7 +12,6 @@
 // WITH_EXPOSURE adds `exposed`: real[3, H, W], the image with the colour transform of a view
 // (exposure.cl), row `view` of transforms: real[T, TRANSFORM_REALS]. WITH_VIGNETTING multiplies its
 // colours before by the gain of the view's lens (vignetting.h), row lens_of[view] of lenses.
-// WITH_TONE does both to the light, before the lens's tone curve (tone.h), that row of tones.
 // WITH_DEPTH adds the channel sum_i alpha_i T_i z_i, and to the adjoint the gradients by it and by
 // the final transmittance, so that a loss may read their ratio; otherwise these arrays are not
 // touched. DEPTH_PERCENT makes it z_i of the splat that takes T to so many per cent, or of the last
@@ -37,15 +36,6 @@
 #if WITH_VIGNETTING
 #include "vignetting.h"
 DEFINE_RADIUS(squared_radius, vreal)
-#endif
-#ifndef WITH_TONE
-#define WITH_TONE 0
-#endif
-#if WITH_TONE
-#include "tone.h"
-DEFINE_TONE(, vreal)
-#else
-#define tone(X, CURVE) (X)
 #endif
 #ifndef WITH_LAYERS
 #define WITH_LAYERS 0
@@ -75,8 +65,7 @@ DEFINE_TONE(, vreal)
     __global real *restrict transmittance, __global int *restrict last_contributor,                \
     __global real *restrict depth, uint view, __global const real *restrict transforms,            \
     __global const real *restrict camera, __global const uint *restrict lens_of,                   \
-    __global const real *restrict lenses, __global const real *restrict tones,                     \
-    __global const uchar *restrict layers,                                                         \
+    __global const real *restrict lenses, __global const uchar *restrict layers,                   \
     __global real *restrict exposed
 #define BLEND_ADJOINT_ARGUMENTS                                                                    \
     int width, int height, int tiles_x, int first_tile, __global const uint *restrict ranges,      \

@@ -160,12 +160,17 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
     return options
 
 
-EARLIER = {"vignetting": "off", "tone": "off"}  # what runs did that do not record an option
+EARLIER = {"vignetting": "off"}  # what runs did that do not record an option
+REMOVED = {"tone": "off"}  # options of earlier versions -> the value that is what runs do now
 
 
 def recorded(record: dict[str, Any]) -> TrainOptions:
     """The options among the values of a run's options.json; InputError for a damaged one."""
     record = {**EARLIER, **record}
+    for name, value in REMOVED.items():
+        if record.get(name, value) != value:
+            raise InputError(f"options.json: {name} {record[name]} was removed; train "
+                             "the run again without it")
     schedule = checked("options.json", "schedule", record.get("schedule", TrainOptions.schedule))
     known = {option.name for option in options_of(options_with(schedule))
              if serves(option, schedule)}

@@ -1,5 +1,4 @@
-"""What a camera makes of the colours of a scene: vignetting, exposure, white balance and a tone
-curve."""
+"""What a camera makes of the colours of a scene: vignetting, exposure and white balance."""
 
 from __future__ import annotations
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from clsplat.constants import TONE_TERMS, VIGNETTING_REALS, VIGNETTING_TERMS
+from clsplat.constants import VIGNETTING_REALS, VIGNETTING_TERMS
 
 SAME_FOCAL = 0.05  # relative: the photos of one lens may have been calibrated one by one
 
@@ -20,45 +19,28 @@ def no_vignetting() -> NDArray[np.float64]:
     return np.append(np.zeros(VIGNETTING_TERMS), 1.0)
 
 
-def no_tone() -> NDArray[np.float64]:
-    """The tone curve that changes nothing."""
-    return np.zeros(TONE_TERMS)
-
-
 @dataclass(frozen=True, eq=False)
 class Response:
-    """The response of a photo: c' = f(M (g h(c)) + t), with the gain g of a pixel.
+    """The response of a photo: c' = M (g c) + t, with the gain g of a pixel.
 
     The gain of a lens is g = 1 + a u + b u^2 + c u^3, where u = s ((x - cx)^2 / fx^2 +
-    (y - cy)^2 / fy^2) is 0 on the optical axis. It is a factor of the light; a tone curve that is
-    a power makes another factor of it, so without a curve it may be applied to display values.
-
-    The tone curve f of a lens, the same for all channels (`bend`), comes after gain and transform,
-    as in a camera. Its inverse h takes the colours c of a model, which are display values, to the
-    light in which gain and transform are factors. So a model has the colours of a photo of mean
-    exposure whatever f is, and f is seen only where exposures differ. Curves that differ by a power
-    then differ little, as a power makes a factor of a factor (Grossberg & Nayar 2003).
+    (y - cy)^2 / fy^2) is 0 on the optical axis. It is a factor of the
+    light; a tone curve that is a power makes another factor of it, so it may be applied to display
+    values.
 
     Attributes
     ----------
     transform : float64[3, 4], rows [M | t].
     vignetting : float64[4], (a, b, c, s); s is such that u is 1 in the farthest corner of a photo.
-    tone : float64[2], the bends of f: more than 0 is brighter, and of more contrast.
     """
 
     transform: NDArray[np.float64] = field(default_factory=lambda: np.eye(3, 4))
     vignetting: NDArray[np.float64] = field(default_factory=no_vignetting)
-    tone: NDArray[np.float64] = field(default_factory=no_tone)
 
     @property
     def has_vignetting(self) -> bool:
         """Whether the gain is other than 1 anywhere."""
         return bool(self.vignetting[:VIGNETTING_TERMS].any())
-
-    @property
-    def has_tone(self) -> bool:
-        """Whether the tone curve changes anything."""
-        return bool(self.tone.any())
 
     def gain(self, camera: Camera) -> NDArray[np.float64]:
         """float64[H, W], the gain of the pixels of a camera's image."""
@@ -70,56 +52,10 @@ class Response:
 
     def applied(self, image: NDArray[np.floating], camera: Camera) -> NDArray[np.float32]:
         """The photo [H, W, 3] that the camera makes of the colours [H, W, 3] of a scene."""
-        if self.has_tone:
-            image = to_light(image, self.tone)
         if self.has_vignetting:
             image = image * self.gain(camera)[:, :, None]
         photo = image @ self.transform[:, :3].T + self.transform[:, 3]
-        if self.has_tone:
-            photo = from_light(photo, self.tone)
         return photo.astype(np.float32)
-
-
-def bend(values: NDArray[np.floating], amount: float) -> NDArray[np.float64]:
-    """t / (|t| + e^-p (1 - |t|)) of t in [-1, 1], and beyond linear: it rises, whatever p is.
-
-    It keeps -1, 0 and 1, has the slope e^p at 0 and e^-p at the ends, and -p gives the inverse. For
-    t from 0 to 1 and p > 0 it is the curve of Reinhard et al. (2002, equation 3), which
-    compresses highlights, but for a factor before and one after.
-
-    Parameters
-    ----------
-    values : t.
-    amount : p.
-    """
-    k, t = np.exp(-float(amount)), np.asarray(values, np.float64)
-    inside = np.clip(t, -1, 1)
-    size = np.abs(inside)
-    result: NDArray[np.float64] = inside / (size + k * (1 - size)) + k * (t - inside)
-    return result
-
-
-def from_light(light: NDArray[np.floating], tone: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Display values by a tone curve, B_a((1 + B_b(2 x - 1)) / 2): contrast, then brightness.
-
-    Parameters
-    ----------
-    light : x; the curve keeps 0 and 1.
-    tone : float64[2], the bends a and b.
-    """
-    return bend((1 + bend(2 * np.asarray(light, np.float64) - 1, tone[1])) / 2, tone[0])
-
-
-def to_light(values: NDArray[np.floating], tone: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The inverse of `from_light`.
-
-    Parameters
-    ----------
-    values : display values.
-    tone : float64[2], the bends a and b.
-    """
-    result: NDArray[np.float64] = (1 + bend(2 * bend(values, -tone[0]) - 1, -tone[1])) / 2
-    return result
 
 
 def squared_radius(camera: Camera) -> NDArray[np.float64]:
@@ -145,12 +81,10 @@ class Lenses:
     ----------
     of : int[V], the lens of each view.
     rows : float64[L, 4], the vignetting of each lens.
-    tones : float64[L, 2], the tone curve of each lens.
     """
 
     of: NDArray[np.int64]
     rows: NDArray[np.float64]
-    tones: NDArray[np.float64]
 
     @classmethod
     def of_cameras(cls, cameras: Sequence[Camera]) -> Lenses:
@@ -167,14 +101,13 @@ class Lenses:
         for lens, camera in zip(of, cameras):
             rows[lens, -1] = max(rows[lens, -1], corner_radius(camera))
         rows[:, -1] = 1 / rows[:, -1]
-        return cls(of, rows, np.zeros((len(known), TONE_TERMS)))
+        return cls(of, rows)
 
     @classmethod
     def of_responses(cls, responses: Sequence[Response]) -> Lenses:
         """A lens for each response that is known already."""
         return cls(np.arange(len(responses)),
-                   np.array([response.vignetting for response in responses]),
-                   np.array([response.tone for response in responses]))
+                   np.array([response.vignetting for response in responses]))
 
 
 def lens_kind(camera: Camera) -> tuple[int, int]:

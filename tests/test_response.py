@@ -5,7 +5,7 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.io.runs.exposures import read_exposures, write_exposures
-from clsplat.response import Lenses, Response, corner_radius, from_light, lens_kind, to_light
+from clsplat.response import Lenses, Response, corner_radius, lens_kind
 
 CAMERA = Camera(80, 60, (70, 75), (43, 28), np.eye(3), np.zeros(3))
 LENS = np.array([-0.3, 0.2, -0.1, 1 / corner_radius(CAMERA)])
@@ -37,29 +37,6 @@ def test_the_gain_comes_before_the_transform():
     assert np.allclose(plain.applied(image, CAMERA), 2 * image + [0.1, 0.2, 0.3])
 
 
-def test_the_curve_of_a_lens_is_around_gain_and_transform():
-    """So the colours of a model are those of a photo of mean exposure, whatever the curve is."""
-    tone, rng = np.array([0.5, -0.3]), np.random.default_rng(0)
-    image = rng.uniform(-0.2, 1.3, (60, 80, 3))
-    still = Response(tone=tone)
-    assert still.has_tone and np.allclose(still.applied(image, CAMERA), image, atol=1e-6)
-    response = Response(np.column_stack([1.5 * np.eye(3), [0.1, 0.2, 0.3]]), LENS, tone)
-    plain = Response(response.transform, LENS)
-    expected = from_light(plain.applied(to_light(image, tone), CAMERA), tone)
-    assert np.allclose(response.applied(image, CAMERA), expected, atol=1e-6)
-    assert not plain.has_tone
-    assert np.abs(plain.applied(image, CAMERA) - expected).max() > 0.1
-
-
-def test_a_curve_rises_and_keeps_black_and_white():
-    x = np.linspace(-1, 2, 400)
-    for tone in ([1, 1], [-1, 1], [0.3, -0.8]):
-        assert (np.diff(from_light(x, np.array(tone))) > 0).all()
-        assert np.allclose(from_light(np.array([0.0, 1.0]), np.array(tone)), [0, 1])
-    assert from_light(0.5, np.array([0.5, 0])) > 0.55 and from_light(0.5, np.array([0, 0.5])) == 0.5
-    assert from_light(0.25, np.array([0, 0.5])) < 0.2
-
-
 def test_photos_of_one_shape_and_focal_length_share_a_lens():
     other = CAMERA.resized(60, 80)
     near = Camera(80, 60, (70.2, 75), (40, 30), np.eye(3), np.zeros(3))
@@ -72,12 +49,10 @@ def test_photos_of_one_shape_and_focal_length_share_a_lens():
 def test_files_keep_responses_to_the_last_digit(tmp_path):
     rng = np.random.default_rng(1)
     written = {"a": Response(rng.normal(size=(3, 4))), "b": Response(rng.normal(size=(3, 4)), LENS),
-               "c": Response(rng.normal(size=(3, 4)), LENS, rng.normal(size=2)),
-               "d": Response(tone=rng.normal(size=2))}
+               "c": Response(vignetting=LENS)}
     write_exposures(tmp_path / "exposures.json", written)
     read = read_exposures(tmp_path / "exposures.json")
     for name, response in written.items():
         assert np.array_equal(read[name].transform, response.transform)
         assert np.array_equal(read[name].vignetting, response.vignetting)
-        assert np.array_equal(read[name].tone, response.tone)
         assert read[name].has_vignetting == response.has_vignetting

@@ -143,11 +143,6 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
         c = ONE_BYTE(layers + FRONT_CLEAR_PLANE * plane + pixel) * c +
             (real3)(ONE_BYTE(front), ONE_BYTE(front + plane), ONE_BYTE(front + 2 * plane));
 #endif
-#if WITH_TONE
-        real curve[TONE_TERMS];
-        load_curve(tones, lens_of[view], curve);
-        c = (real3)(untone(c.x, curve), untone(c.y, curve), untone(c.z, curve));
-#endif
 #if WITH_VIGNETTING
         __global const real *lens = lenses + lens_of[view] * VIGNETTING_REALS;
         c *= GAIN(lens, squared_radius(camera, lens, x, y));
@@ -155,7 +150,7 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
 #if WITH_EXPOSURE
         __global const real *e = transforms + (ulong)view * TRANSFORM_REALS;
         for (int k = 0; k < 3; k++)
-            exposed[k * plane + pixel] = tone(EXPOSED(e, k, c.x, c.y, c.z), curve);
+            exposed[k * plane + pixel] = EXPOSED(e, k, c.x, c.y, c.z);
 #endif
         transmittance[pixel] = t;
         last_contributor[pixel] = latest;

@@ -8,7 +8,6 @@ void exposure_adjoint(uint pixels, uint width, uint view, uint blocks,
                       __global const real *restrict camera,
                       __global const real *restrict transforms,
                       __global const uint *restrict lens_of, __global const real *restrict lenses,
-                      __global const real *restrict tones,
                       __global const real *restrict image, __global const real *restrict grad,
                       __global const uchar *restrict layers, __global real *restrict grad_image,
                       __global real *restrict partials)
@@ -19,16 +18,13 @@ void exposure_adjoint(uint pixels, uint width, uint view, uint blocks,
     real e[TRANSFORM_REALS], sums[GROUP_LANES][EXPOSURE_SUMS], lanes[GROUP_LANES];
     for (int k = 0; k < TRANSFORM_REALS; k++)
         e[k] = transforms[view * TRANSFORM_REALS + k];
-    real curve[TONE_TERMS];
-    if (WITH_TONE)
-        load_curve(tones, lens_of[view], curve);
     for (int k = 0; k < EXPOSURE_SUMS; k++) {
         for (uint own = 0; own < GROUP_LANES; own++)
             sums[own][k] = 0;
     }
     FOR_LANES(i, own, min((ulong)EXPOSURE_BLOCK, pixels - begin)) {
         const ulong p = begin + i;
-        pixels1(pixels, e, lens, curve, radius_of1(camera, lens, p, width), image + p, grad + p,
+        pixels1(pixels, e, lens, radius_of1(camera, lens, p, width), image + p, grad + p,
                 layers + p, grad_image + p, sums[own]);
     }
     for (int k = 0; k < EXPOSURE_SUMS; k++) {

@@ -190,10 +190,6 @@ void blend(BLEND_ARGUMENTS)
                 open_blocks &= ~(1 << r0 / BLOCK);
         }
     }
-#if WITH_TONE
-    real curve[TONE_TERMS];
-    load_curve(tones, lens_of[view], curve);
-#endif
     for (int r = 0; r < rows; r++) {
         const long pixel = (long)(y0 + r) * width + x0;
         const real16 rest = fabs(t_of[r]);
@@ -216,11 +212,6 @@ void blend(BLEND_ARGUMENTS)
         green = clear * green + load_layer(front + plane, columns);
         blue = clear * blue + load_layer(front + 2 * plane, columns);
 #endif
-#if WITH_TONE
-        red = untone(red, curve);
-        green = untone(green, curve);
-        blue = untone(blue, curve);
-#endif
 #if WITH_VIGNETTING
         __global const real *lens = lenses + lens_of[view] * VIGNETTING_REALS;
         const real16 gain = GAIN(lens, squared_radius(camera, lens, x, (real16)(y0 + r + 0.5)));
@@ -231,8 +222,7 @@ void blend(BLEND_ARGUMENTS)
 #if WITH_EXPOSURE
         __global const real *e = transforms + (ulong)view * TRANSFORM_REALS;
         for (int k = 0; k < 3; k++)
-            store_row(tone(EXPOSED(e, k, red, green, blue), curve), exposed + k * plane + pixel,
-                      columns);
+            store_row(EXPOSED(e, k, red, green, blue), exposed + k * plane + pixel, columns);
 #endif
         store_row(rest, transmittance + pixel, columns);
         IF_DEPTH(store_row(z_of[r], depth + pixel, columns);)

@@ -275,7 +275,7 @@ def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
     for term in terms:
         arrays += term.arrays(*image, "exposure" if exposes else "project adjoint")
     if exposes:
-        arrays += Exposures.frame_arrays(*image, options.vignetting == "on", options.tone == "on")
+        arrays += Exposures.frame_arrays(*image, options.vignetting == "on")
     if options.poses == "on":
         arrays += Poses.frame_arrays(seen)
     if not ENGINES[options.engine].RECORDS:

@@ -1,5 +1,5 @@
 """A learned response for each training view, so that photos of drifting exposure and the middle and
-the corners of photos agree, also after the tone curve of their camera (cl/exposure.cl)."""
+the corners of photos agree (cl/exposure.cl)."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +11,6 @@ from clsplat.constants import (
     CAMERA_REALS,
     EXPOSURE_BLOCK,
     FRAME_COUNTS,
-    TONE_TERMS,
     TRANSFORM_REALS,
     VIGNETTING_REALS,
     VIGNETTING_TERMS,
@@ -20,7 +19,6 @@ from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups
 from clsplat.rendering.blend import (
     Defines,
     Exposure,
-    Tone,
     Vignetting,
     bytes_or,
     layer_defines,
@@ -30,13 +28,12 @@ from clsplat.response import Lenses, Response
 
 IDENTITY = np.eye(3, 4)
 LEARNED = ("transforms", "m", "v", "steps")
-LEARNED_VIGNETTING = ("lenses", "lens_m", "lens_v")
-LEARNED_TONE = ("tones", "tone_m", "tone_v")
+LEARNED_VIGNETTING = ("lenses", "lens_m", "lens_v", "lens_steps")
 MAX_CONDITION = 1e3  # of a matrix that may be inverted
 
 _ROWS, _IMAGE = ("real", "V", TRANSFORM_REALS), ("real", 3, "H", "W")
-_LENS_ROWS, _TONE_ROWS = ("real", "L", VIGNETTING_TERMS), ("real", "L", TONE_TERMS)
-_LENSES = dict(lens_of=("uint", "V"), lenses=("real", "L", VIGNETTING_REALS), tones=_TONE_ROWS)
+_LENS_ROWS = "real", "L", VIGNETTING_TERMS
+_LENSES = dict(lens_of=("uint", "V"), lenses=("real", "L", VIGNETTING_REALS))
 ADJOINT = Kernel(
     "exposure.cl", "exposure_adjoint",
     Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), pixels="uint", width="uint",
@@ -46,8 +43,8 @@ ADJOINT = Kernel(
 STEP = Kernel("exposure.cl", "exposure_step", groups("1", "16"), view="uint", rate="real",
               pull="real", counts=("uint", FRAME_COUNTS), partials=("real", "P", "S"),
               blocks="uint", transforms=_ROWS, m=_ROWS, v=_ROWS, steps=("uint", "V"), **_LENSES,
-              lens_m=_LENS_ROWS, lens_v=_LENS_ROWS, tone_m=_TONE_ROWS, tone_v=_TONE_ROWS,
-              lens_steps=("uint", "L"), skipped=("uint", 1))
+              lens_m=_LENS_ROWS, lens_v=_LENS_ROWS, lens_steps=("uint", "L"),
+              skipped=("uint", 1))
 
 
 class Exposures:
@@ -59,12 +56,10 @@ class Exposures:
     views : how many views.
     rate : learning rate.
     pull : weight in the loss of mean((E - I)^2) over the 12 entries E of a view's transform, and of
-        the mean square of the three numbers of its lens's vignetting; a tenth of it is that of the
-        mean square of the two of its curve.
+        the mean square of the three numbers of its lens's vignetting.
     initial : float64[V, 3, 4], the transforms [M | t] at the start; None: identities.
     learns : whether the responses change at all.
-    lenses : of the views; None: no lens has vignetting or a tone curve.
-    vignetting, tone : which of them the lenses have.
+    lenses : the lenses of the views, whose vignetting is learned; None: it is not.
 
     Attributes
     ----------
@@ -72,7 +67,6 @@ class Exposures:
     steps : uint[V], steps of each view.
     lens_of, lenses : uint[V] and real[L, 4], as `Lenses` has them.
     lens_m, lens_v : real[L, 3], the Adam moments of the vignetting.
-    tones, tone_m, tone_v : real[L, 2], the tone curves, and their Adam moments.
     lens_steps : uint[L], steps of each lens.
     skipped : uint[1], steps that were left out because their gradient was not finite.
     """
@@ -85,55 +79,47 @@ class Exposures:
     lenses: Array
     lens_m: Array
     lens_v: Array
-    tones: Array
-    tone_m: Array
-    tone_v: Array
     lens_steps: Array
     skipped: Array
 
     def __init__(self, device: Device, views: int, rate: float = 1e-3, pull: float = 0.01,
                  initial: NDArray[np.float64] | None = None, learns: bool = True,
-                 lenses: Lenses | None = None, vignetting: bool = True, tone: bool = False
-                 ) -> None:
+                 lenses: Lenses | None = None) -> None:
         self.device, self.rate, self.pull, self.learns = device, rate, pull, learns
         self._recentred = np.tile(IDENTITY, (views, 1, 1)) if initial is None else initial
         self._mean = self._recentred.reshape(views, TRANSFORM_REALS).mean(axis=0)
-        self.has_vignetting = lenses is not None and vignetting
-        self.has_tone = lenses is not None and tone
+        self.has_vignetting = lenses is not None
         for name, spec in self.arrays(views, len(lenses.rows) if lenses else 1).items():
             setattr(self, name, device.zeros(*spec))
         if lenses:
             self.lens_of.write(lenses.of)
             self.lenses.write(lenses.rows)
-            self.tones.write(lenses.tones)
         self.transforms.write(self._recentred.reshape(views, TRANSFORM_REALS))
 
     @staticmethod
     def arrays(views: int, lenses: int = 1) -> dict[str, ArraySpec]:
         """The arrays of a number of views and lenses, by attribute."""
         rows, steps = ArraySpec((views, TRANSFORM_REALS)), ArraySpec((views,), np.uint32)
-        moments, tones = ArraySpec((lenses, VIGNETTING_TERMS)), ArraySpec((lenses, TONE_TERMS))
+        moments = ArraySpec((lenses, VIGNETTING_TERMS))
         return {"transforms": rows, "m": rows, "v": rows, "steps": steps, "lens_of": steps,
                 "lenses": ArraySpec((lenses, VIGNETTING_REALS)), "lens_m": moments,
-                "lens_v": moments, "tones": tones, "tone_m": tones, "tone_v": tones,
-                "lens_steps": ArraySpec((lenses,), np.uint32),
+                "lens_v": moments, "lens_steps": ArraySpec((lenses,), np.uint32),
                 "skipped": ArraySpec((1,), np.uint32)}
 
     @staticmethod
-    def frame_arrays(width: int, height: int, vignetting: bool, tone: bool) -> list[FrameArray]:
+    def frame_arrays(width: int, height: int, vignetting: bool) -> list[FrameArray]:
         """What a frame with a response and `adjoint` allocate for an image."""
         image, blocks = (3, height, width), -(-width * height // EXPOSURE_BLOCK)
         return [FrameArray("exposed", image, None, "blend", "project adjoint"),
                 FrameArray("grad_rendered", image, None, "exposure", "project adjoint"),
-                FrameArray("partials", (blocks, _sums(vignetting, tone)), None, "exposure",
+                FrameArray("partials", (blocks, _sums(vignetting)), None, "exposure",
                            "project adjoint")]
 
     def of(self, view: int, camera: Array) -> Exposure:
         """The response of a view, for `Renderer.render`; `camera` is its packed camera."""
         return Exposure(self.transforms, view,
                         Vignetting(camera, self.lens_of, self.lenses)
-                        if self.has_vignetting else None,
-                        Tone(self.lens_of, self.tones) if self.has_tone else None)
+                        if self.has_vignetting else None)
 
     def adjoint(self, view: int, camera: Array, image: Array, grad: Array,
                 layers: Array | None = None) -> tuple[Array, Array]:
@@ -147,24 +133,23 @@ class Exposures:
 
         Returns
         -------
-        real[3, H, W], by the image; real[P, 12 to 17], partial sums of those by the view's
-        transform and by what its lens has.
+        real[3, H, W], by the image; real[P, 12 or 15], partial sums of those by the view's
+        transform and by the vignetting of its lens.
         """
         device, (_, height, width) = self.device, image.shape
         blocks = -(-width * height // EXPOSURE_BLOCK)
-        partials = device.empty((blocks, _sums(self.has_vignetting, self.has_tone)))
+        partials = device.empty((blocks, _sums(self.has_vignetting)))
         grad_image = device.empty(image.shape)
         device.launch(ADJOINT, (*self._defines, *layer_defines(layers)[1:]),
                       pixels=width * height, width=width, view=view, blocks=blocks, camera=camera,
                       transforms=self.transforms, lens_of=self.lens_of, lenses=self.lenses,
-                      tones=self.tones, image=image, grad=grad,
-                      layers=bytes_or(self.lenses, layers), grad_image=grad_image,
-                      partials=partials)
+                      image=image, grad=grad, layers=bytes_or(self.lenses, layers),
+                      grad_image=grad_image, partials=partials)
         return grad_image, partials
 
     @property
     def _defines(self) -> Defines:
-        return (("WITH_VIGNETTING", int(self.has_vignetting)), ("WITH_TONE", int(self.has_tone)))
+        return (("WITH_VIGNETTING", int(self.has_vignetting)),)
 
     def step(self, view: int, partials: Array, counts: Array) -> None:
         """Take one step of Adam on a view's transform and its lens; does not wait for the device.
@@ -182,16 +167,16 @@ class Exposures:
                 STEP, self._defines, view=view, rate=self.rate, pull=self.pull, counts=counts,
                 partials=partials, blocks=len(partials), transforms=self.transforms, m=self.m,
                 v=self.v, steps=self.steps, lens_of=self.lens_of, lenses=self.lenses,
-                lens_m=self.lens_m, lens_v=self.lens_v, tones=self.tones, tone_m=self.tone_m,
-                tone_v=self.tone_v, lens_steps=self.lens_steps, skipped=self.skipped)
+                lens_m=self.lens_m, lens_v=self.lens_v, lens_steps=self.lens_steps,
+                skipped=self.skipped)
 
     def responses(self) -> list[Response]:
         """The responses of the views; waits for the device."""
         transforms = self.transforms.download().astype(np.float64).reshape(-1, 3, 4)
-        if not (self.has_vignetting or self.has_tone):
+        if not self.has_vignetting:
             return [Response(transform) for transform in transforms]
-        lenses, tones = (rows.download().astype(np.float64) for rows in (self.lenses, self.tones))
-        return [Response(transform, lenses[lens], tones[lens])
+        lenses = self.lenses.download().astype(np.float64)
+        return [Response(transform, lenses[lens])
                 for transform, lens in zip(transforms, self.lens_of.download())]
 
     def recentre(self) -> None:
@@ -241,10 +226,9 @@ class Exposures:
 
     @property
     def _learned(self) -> tuple[str, ...]:
-        return (LEARNED + LEARNED_VIGNETTING * self.has_vignetting + LEARNED_TONE * self.has_tone
-                + ("lens_steps",) * (self.has_vignetting or self.has_tone))
+        return LEARNED + LEARNED_VIGNETTING * self.has_vignetting
 
 
-def _sums(vignetting: bool, tone: bool) -> int:
+def _sums(vignetting: bool) -> int:
     """Numbers whose gradients are summed."""
-    return TRANSFORM_REALS + VIGNETTING_TERMS * vignetting + TONE_TERMS * tone
+    return TRANSFORM_REALS + VIGNETTING_TERMS * vignetting

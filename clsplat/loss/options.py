@@ -34,9 +34,6 @@ class ExposureOptions:
     vignetting: str = option("off", "Loss", "where exposures are learned, learn how much "
                              "darker the corners of a camera's photos are; auto: where they are",
                              choices=("off", "auto", "on"))
-    tone: str = option("off", "Loss", "where exposures are learned, learn a tone curve for each "
-                       "camera, before which they are factors of light", choices=("off", "on"),
-                       flag=False)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ _IMAGE, _DEPTH = dict(image=("real", 3, "H", "W")), dict(depth=("real", "D", "E"
 _ENDS = dict(transmittance=("real", "H", "W"), last_contributor=("int", "H", "W"))
 _EXPOSURE: dict[str, Any] = dict(
     view="uint", transforms=("real", "U", TRANSFORM_REALS), camera=("real", "J"),
-    lens_of=("uint", "K"), lenses=("real", "L", "M"), tones=("real", "TR", "TC"))
+    lens_of=("uint", "K"), lenses=("real", "L", "M"))
 _EXPOSED = dict(exposed=("real", "F", "G", "I"))
 _BACKGROUND: dict[str, Argument] = dict(background=("real", 3))
 _LAYERS: dict[str, Argument] = dict(layers=("uchar", "N", "O", "Q"))
@@ -61,19 +61,6 @@ class Vignetting(NamedTuple):
     lenses: Array
 
 
-class Tone(NamedTuple):
-    """The tone curve of the lens of a frame's view (clsplat/response.py).
-
-    Attributes
-    ----------
-    lens_of : uint[T], the lens of each view.
-    tones : real[L, 2].
-    """
-
-    lens_of: Array
-    tones: Array
-
-
 class Exposure(NamedTuple):
     """The response of the view of a frame.
 
@@ -82,13 +69,11 @@ class Exposure(NamedTuple):
     transforms : real[T, 12], the colour transforms of views.
     view : the row of the frame's view.
     vignetting : None: no lens has any.
-    tone : None: no lens has a tone curve.
     """
 
     transforms: Array
     view: int
     vignetting: Vignetting | None = None
-    tone: Tone | None = None
 
 
 @dataclass(eq=False)
@@ -176,9 +161,8 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
                          device.empty((height, width), np.int32), device.empty(depth_shape),
                          device.empty(image) if exposure else None)
     nothing = result.depth.reshaped(1, *result.depth.shape)
-    transforms, view, vignetting, tone = exposure or Exposure(device.empty((1, TRANSFORM_REALS)), 0)
-    lens_of, tones = tone or (pairs.counts, transforms)  # not read
-    camera, lens_of, lenses = vignetting or (background, lens_of, transforms)
+    transforms, view, vignetting = exposure or Exposure(device.empty((1, TRANSFORM_REALS)), 0)
+    camera, lens_of, lenses = vignetting or (background, pairs.counts, transforms)  # not read
     result.checkpoints = result.depth_checkpoints = None  # free those of the band before
     if pairs.bucket_tiles is not None:
         states = len(pairs.bucket_tiles), device.tile**2
@@ -188,13 +172,12 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
         raise ShapeError(f"layers of {layers.shape[1:]} for an image of {(height, width)}")
     device.launch(BLEND, (*defines, *layer_defines(layers),
                           ("WITH_EXPOSURE", int(exposure is not None)),
-                          ("WITH_VIGNETTING", int(vignetting is not None)),
-                          ("WITH_TONE", int(tone is not None))),
+                          ("WITH_VIGNETTING", int(vignetting is not None))),
                   width=width, height=height, tiles_x=pairs.tiles_x, first_tile=pairs.tiles.start,
                   background=background, ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
                   splats=splats, image=result.image, transmittance=result.transmittance,
                   last_contributor=result.last_contributor, depth=result.depth, view=view,
-                  transforms=transforms, camera=camera, lens_of=lens_of, lenses=lenses, tones=tones,
+                  transforms=transforms, camera=camera, lens_of=lens_of, lenses=lenses,
                   layers=bytes_or(background, layers),
                   exposed=nothing if result.exposed is None else result.exposed,
                   bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,

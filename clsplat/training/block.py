@@ -21,7 +21,7 @@ from clsplat.training.loop import resume, train
 from clsplat.training.progress import NotedProgress, SilentProgress
 
 # options that the coarse run decides, so that all blocks agree on colours and SH degree
-DECIDED = ("exposure", "vignetting", "tone", "sh_degree")
+DECIDED = ("exposure", "vignetting", "sh_degree")
 BEFORE = "was finished before"
 MOST_NAMED = 5  # blocks in a message
 MAY_DIFFER = "init"  # a path in the block's folder, which may have been moved

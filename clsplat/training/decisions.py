@@ -116,9 +116,8 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
              "levels": Decision(*schedule.planned_levels(options, facts)), "gaussians": limit,
              "sh_degree": _degree(spread, options), "antialiased": _antialiased(spread, options),
              "exposure": exposure, "vignetting": _vignetting(scene, views, options, exposure),
-             "tone": _tone(options, exposure), "robust": _robust(options),
-             "reproject": reproject}
-    decided = ("init", "sh_degree", "exposure", "vignetting", "tone", "reproject")
+             "robust": _robust(options), "reproject": reproject}
+    decided = ("init", "sh_degree", "exposure", "vignetting", "reproject")
     options = dataclasses.replace(options, **{name: parts[name].value for name in decided})
     if device is not None:
         parts["engine"] = _engine(planned_initial(facts, options), options, device)
@@ -213,11 +212,6 @@ def _vignetting(scene: Scene, views: Sequence[View], options: TrainOptions, expo
     value = "on" if darker >= DARKENS else "off"
     return Decision(value, f"{value}: the corners of {len(small)} photos are {100 * darker:.1f} % "
                     f"darker than their middle ({100 * DARKENS:.1f} % counts as vignetting)")
-
-
-def _tone(options: TrainOptions, exposure: Decision) -> Decision:
-    """On only with exposures, whose differences alone show it."""
-    return _with_exposures("tone", options.tone, exposure)
 
 
 def _with_exposures(name: str, value: str, exposure: Decision) -> Decision:

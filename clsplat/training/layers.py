@@ -162,7 +162,7 @@ def compared_bytes(scene: Scene, surroundings: Gaussians, sh_degree: int, expose
         in_front = front.is_shown(view, sides.behind(view.camera.position))
         layers += layer_array(view, in_front).nbytes(real)
         step = max(step, sum(array.nbytes(real) for array in Exposures.frame_arrays(
-            view.camera.width, view.camera.height, vignetting=False, tone=False)))
+            view.camera.width, view.camera.height, vignetting=False)))
     floats = sum(field.width(sh_degree) for field in LEARNED)
     return layers + (0 if exposes else step), 3 * real.itemsize * floats * surroundings.count
 

@@ -69,7 +69,7 @@ class PreparedScene:
     @property
     def lenses(self) -> Lenses | None:
         """The lenses of the training views; None where nothing is learned of them."""
-        if self.options.vignetting != "on" and self.options.tone != "on":
+        if self.options.vignetting != "on":
             return None
         cameras = [view.camera for view in self.train_views]
         known = initial_responses(self.scene, self.train_views)

@@ -97,8 +97,7 @@ class Session:
                 device, len(self.train_views), learns=initial is None or self.scene.region is None,
                 initial=None if initial is None else np.array([
                     response.transform for response in initial]),
-                lenses=prepared.lenses, vignetting=options.vignetting == "on",
-                tone=options.tone == "on")
+                lenses=prepared.lenses)
         poses = None
         if options.poses == "on":
             cameras = [view.camera for view in self.train_views]

@@ -25,10 +25,9 @@ def transforms_of(gains):
     return np.array([np.eye(3, 4) * gain for gain in gains])
 
 
-def learned(gains, lens=(0, 0, 0, 1), tone=(0, 0)):
+def learned(gains, lens=(0, 0, 0, 1)):
     """Responses by name, photo_0 on, without each third from the second on."""
-    return {f"photo_{i}.jpg": Response(np.eye(3, 4) * gain, np.array(lens, float),
-                                     np.array(tone, float))
+    return {f"photo_{i}.jpg": Response(np.eye(3, 4) * gain, np.array(lens, float))
             for i, gain in enumerate(gains) if i % 3 != 1}
 
 
@@ -69,10 +68,9 @@ def test_a_lens_is_that_of_training_photos_of_its_shape():
     lens = (-0.2, 0.1, 0, 1.5)
     views = [view(f"photo_{i}.jpg") for i in range(6)]
     views[4] = replace(views[4], camera=CAMERA.resized(60, 90))
-    found = predicted_responses(views, learned(np.ones(6), lens, (0.3, -0.2))).responses
+    found = predicted_responses(views, learned(np.ones(6), lens)).responses
     assert found["photo_1.jpg"].vignetting.tolist() == list(lens)
-    assert found["photo_1.jpg"].tone.tolist() == [0.3, -0.2]
-    assert not found["photo_4.jpg"].has_vignetting and not found["photo_4.jpg"].has_tone
+    assert not found["photo_4.jpg"].has_vignetting
 
 
 def test_without_learned_responses_there_are_none():

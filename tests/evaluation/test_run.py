@@ -128,9 +128,17 @@ def test_scores_from_aligned_poses_stand_beside_the_others(run, item_device):
 
 def test_a_run_goes_on_without_what_it_was_begun_before(run):
     record = run.record
-    del record["vignetting"], record["tone"]
+    del record["vignetting"]
+    record["tone"] = "off"
     run.folder.write_options(record)
-    assert run.options == resolve({}, {**OPTIONS, "vignetting": "off", "tone": "off"})
+    assert run.options == resolve({}, {**OPTIONS, "vignetting": "off"})
+
+
+def test_a_run_with_an_option_that_was_removed_is_refused(run):
+    record = run.record
+    run.folder.write_options({**record, "tone": "on"})
+    with pytest.raises(InputError, match="options.json: tone on was removed; train"):
+        _ = run.options
 
 
 def test_another_scene_is_refused(run, tmp_path):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.constants import COUNT_FAILED, EXPOSURE_BLOCK, TONE_MOST, TONE_PULL
+from clsplat.constants import COUNT_FAILED, EXPOSURE_BLOCK
 from clsplat.loss.exposure import Exposures
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.project import pack_camera
@@ -21,11 +21,8 @@ RATE, PULL, VIEWS = 0.05, 0.3, 3
 LENS_OF = (0, 1, 0, 0, 0)  # of the views
 NAMES = ("transforms", "m", "v", "steps")
 LENS_NAMES = ("lenses", "lens_m", "lens_v", "lens_steps")
-TONE_NAMES = ("tones", "tone_m", "tone_v", "lens_steps")
-PARTS = {"plain": {}, "vignetting": {"vignetting": True}, "tone": {"tone": True},
-         "both": {"vignetting": True, "tone": True}}
-with_parts = pytest.mark.parametrize("parts", [PARTS["plain"], PARTS["both"]],
-                                     ids=["plain", "both"])
+with_parts = pytest.mark.parametrize("parts", [{}, {"vignetting": True}],
+                                     ids=["plain", "vignetting"])
 
 
 def camera_of(width, height):
@@ -37,36 +34,32 @@ def camera_of(width, height):
 class Run:
     """Exposures with random transforms and lenses, and the same by the reference."""
 
-    def __init__(self, device, views=VIEWS, pull=PULL, seed=0, vignetting=False, tone=False):
+    def __init__(self, device, views=VIEWS, pull=PULL, seed=0, vignetting=False):
         self.device, self.pull, self.rng = device, pull, np.random.default_rng(seed)
         away = cases.single(self.rng.normal(0, 0.2, (views, 3, 4)))
         lenses = cases.single(np.column_stack([self.rng.normal(0, 0.3, (2, 3)), [0.8, 1.3]]))
-        tones = cases.single(self.rng.normal(0, 0.5, (2, 2)))
-        self.vignetting, self.tone = vignetting, tone
+        self.vignetting = vignetting
         self.exposures = Exposures(device, views, RATE, pull, lenses=Lenses(
-            np.array(LENS_OF[:views]), lenses, tones) if vignetting or tone else None,
-            vignetting=vignetting, tone=tone)
+            np.array(LENS_OF[:views]), lenses) if vignetting else None)
         zero = np.zeros(away.shape)
         self.state = np.eye(3, 4) + away, zero, zero, np.zeros(views, np.uint32)
         self.lens_state = lenses, np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2, np.uint32)
-        self.tone_state = tones, np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, np.uint32)
         self.exposures.upload({
             **dict(zip(NAMES, (values.reshape(views, -1) for values in self.state))),
             "steps": self.state[3], "recentred": self.state[0],
-            **dict(zip(LENS_NAMES, self.lens_state)), **dict(zip(TONE_NAMES, self.tone_state))})
+            **dict(zip(LENS_NAMES, self.lens_state))})
 
     def of_lens(self, lens):
-        """Its vignetting and its tone curve, as far as they are learned."""
-        return (self.lens_state[0][lens] if self.vignetting else np.zeros(4),
-                self.tone_state[0][lens] if self.tone else np.zeros(2))
+        """Its vignetting, if it is learned."""
+        return self.lens_state[0][lens] if self.vignetting else reference.NO_LENS
 
     def step(self, view, image, grad):
         """The gradient by the image, checked; then a step by both."""
         lens = LENS_OF[view]
-        row, tone = self.of_lens(lens)
+        row = self.of_lens(lens)
         u = reference.radius(camera_of(*image.shape[:0:-1]), row)
-        expected, by_transform, by_lens, by_tone = reference.apply_adjoint(
-            self.state[0][view], image, grad, row, u, tone)
+        expected, by_transform, by_lens = reference.apply_adjoint(
+            self.state[0][view], image, grad, row, u)
         actual = stepped(
             self.exposures, view, self.device.upload(image), self.device.upload(grad))
         close(actual.download(), expected, precision_of(self.device), "gradient")
@@ -75,17 +68,12 @@ class Run:
             if self.vignetting:
                 self.lens_state = reference.lens_step(*self.lens_state, lens, by_lens, RATE,
                                                       self.pull)
-            if self.tone:
-                self.tone_state = reference.tone_step(*self.tone_state, lens, by_tone, RATE,
-                                                      TONE_PULL * self.pull, TONE_MOST)
 
     def check(self, what):
         saved = self.exposures.download()
         states = dict(zip(NAMES, self.state))
         if self.vignetting:
             states |= dict(zip(LENS_NAMES, self.lens_state))
-        if self.tone:
-            states |= dict(zip(TONE_NAMES, self.tone_state))
         assert set(saved) == {*states, "recentred"}
         for name, expected in states.items():
             if expected.dtype == np.uint32:
@@ -111,7 +99,7 @@ def a_pair(width, height, seed=0):
 
 
 @pytest.mark.oclgrind
-@pytest.mark.parametrize("parts", PARTS.values(), ids=PARTS)
+@with_parts
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.one_in(5)
 def test_gradient_and_steps(device, size, parts):
@@ -185,14 +173,14 @@ def test_poison_leaves_the_row_and_other_pixels_alone(float_device, slot, parts)
     for label, value in cases.POISON.items():
         arrays = cases.poisoned(clean, slot, (1, 20, 30), value)
         run = Run(float_device, **parts)
-        row, tone = run.of_lens(0)
+        row = run.of_lens(0)
         before = run.exposures.download()
         with np.errstate(all="ignore"):
             actual = stepped(run.exposures, 0, *(
                 float_device.upload(arrays[name]) for name in ("image", "grad"))).download()
             expected, *sums = reference.apply_adjoint(
                 run.state[0][0], arrays["image"], arrays["grad"], row,
-                reference.radius(camera_of(61, 37), row), tone)
+                reference.radius(camera_of(61, 37), row))
             usable = all(np.isfinite(np.float32(values)**2).all() for values in sums)
         after = run.exposures.download()
         assert all(np.isfinite(values).all() for values in after.values()), label
@@ -200,7 +188,7 @@ def test_poison_leaves_the_row_and_other_pixels_alone(float_device, slot, parts)
         assert not parts or after["lens_steps"].tolist() == [int(usable), 0], label
         assert run.exposures.skipped.last() == (not usable), label
         unchanged = [np.array_equal(after[name], before[name]) for name in before
-                     if name not in ("recentred", "lenses", "tones")]
+                     if name not in ("recentred", "lenses")]
         assert any(unchanged) != usable, label
         actual[:, 20, 30] = expected[:, 20, 30] = 0
         close(actual, expected, "float", label)
@@ -319,7 +307,7 @@ def test_groups_of_any_size_give_the_same_bytes(float_device, monkeypatch):
     results = []
     for group in (device.scan_group, 32, 128):
         monkeypatch.setattr(device, "scan_group", group)
-        exposures = Run(device, vignetting=True, tone=True).exposures
+        exposures = Run(device, vignetting=True).exposures
         results.append([stepped(exposures, 0, image, grad).download(),
                         *exposures.download().values()])
     for other in results[1:]:
@@ -328,52 +316,13 @@ def test_groups_of_any_size_give_the_same_bytes(float_device, monkeypatch):
 
 def test_responses_are_what_the_kernels_apply(device):
     """By the host and by the reference: what an evaluation shows is what was learned."""
-    run = Run(device, vignetting=True, tone=True)
+    run = Run(device, vignetting=True)
     camera, image = camera_of(40, 30), cases.images(40, 30)[0]
     for view, response in enumerate(run.exposures.responses()):
-        row, tone = run.of_lens(LENS_OF[view])
-        expected = reference.apply(run.state[0][view], image, row, reference.radius(camera, row),
-                                   tone)
+        row = run.of_lens(LENS_OF[view])
+        expected = reference.apply(run.state[0][view], image, row, reference.radius(camera, row))
         actual = response.applied(image.transpose(1, 2, 0), camera).transpose(2, 0, 1)
         close(actual, expected, "float", "response")
-        assert response.has_vignetting and response.has_tone
+        assert response.has_vignetting
     without = Run(device).exposures.responses()[0]
-    assert isinstance(without, Response) and not (without.has_vignetting or without.has_tone)
-
-
-def test_bends_stay_within_their_bound(device):
-    """Of bends at both bounds, a step of whatever sign moves some outwards."""
-    image, grad = a_pair(16, 16)
-    for sign in (1, -1):
-        run = Run(device, pull=0.0, tone=True)
-        bound = np.full((2, 2), sign * TONE_MOST)
-        run.exposures.tones.write(bound)
-        run.tone_state = bound, *run.tone_state[1:]
-        run.step(0, image, grad)
-        run.check("at the bound")
-        assert np.abs(run.exposures.tones.download()).max() == TONE_MOST
-
-
-@pytest.mark.slow
-def test_a_made_curve_is_learned_from_photos_of_other_exposure(item_device):
-    """Of an image, and three photos of it as another curve makes them. The bend of brightness is
-    hardly seen: a transform has nearly the same effect."""
-    image, gains, contrast = cases.images(64, 48, 3)[0], (0.7, 1.0, 1.3), 0.6
-    camera, pixels = camera_of(64, 48), image.transpose(1, 2, 0)
-    photos = [Response(np.eye(3, 4) * gain, tone=np.array([0, contrast])).applied(pixels, camera)
-              for gain in gains]
-    left, there = [], item_device.upload(image)
-    for tone in (True, False):
-        exposures = Exposures(item_device, 3, 5e-3, 0.0, lenses=Lenses.of_cameras(3 * [camera]),
-                              vignetting=False, tone=tone)
-        for number in range(600):
-            view = number % 3
-            away = exposures.responses()[view].applied(pixels, camera) - photos[view]
-            grad = item_device.upload(away.transpose(2, 0, 1) / away.size)
-            stepped(exposures, view, there, grad)
-        learned = exposures.responses()
-        left.append(np.sqrt(np.mean([(response.applied(pixels, camera) - photo)**2
-                                     for response, photo in zip(learned, photos)])))
-        if tone:
-            assert np.abs(learned[0].tone - [0, contrast]).max() < 0.25
-    assert left[0] < 0.6 * left[1] and left[1] > 0.02
+    assert isinstance(without, Response) and not without.has_vignetting

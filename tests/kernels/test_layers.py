@@ -48,7 +48,7 @@ class Drawn:
         self.given, self.background = device.upload(layers), device.upload(np.full(3, np.nan))
         self.defines = blend_defines(False)
         self.exposures = Exposures(device, 2, initial=TRANSFORMS.astype(float), lenses=Lenses(
-            np.zeros(2, int), LENS, np.zeros((1, 2))) if vignetting else None)
+            np.zeros(2, int), LENS) if vignetting else None)
         self.camera = pack_camera(device, exposed_camera(*self.size), 0.01)
         rows = pack_splats(splats, order)
         self.splats = device.upload(rows)
@@ -95,7 +95,7 @@ def test_image_and_gradients(device, size, planes, vignetting):
 
     grad = np.where(fragile, 0, cases.single(np.random.default_rng(4).normal(size=image.shape)))
     seen = response.in_front(colour, clear, drawn.blended.image.download().astype(float))
-    by_seen, by_transform, by_lens, _ = response.apply_adjoint(
+    by_seen, by_transform, by_lens = response.apply_adjoint(
         TRANSFORMS[1], seen, grad, lens, u)
     by_image = response.in_front_adjoint(clear, by_seen)
     expected = reference.blend_adjoint(splats, order, *size, unit[:3], by_image)

@@ -9,11 +9,9 @@ from tests.reference.exposure import (
     apply,
     apply_adjoint,
     between,
-    curve,
     gain,
     in_front,
     in_front_adjoint,
-    inverse,
     lens_penalty,
     lens_step,
     penalty,
@@ -21,7 +19,6 @@ from tests.reference.exposure import (
 )
 
 LENS = np.array([-0.2, 0.1, -0.15, 0.8])
-TONE = np.array([0.4, -0.3])
 
 
 def a_transform(seed):
@@ -33,17 +30,14 @@ def test_adjoint_agrees_with_differences(size):
     u = np.random.default_rng(1).uniform(0, 1, size[::-1])
 
     def forward(point):
-        return {"result": apply(point["transform"], point["image"], [*point["terms"], 1], u,
-                                point["tone"])}
+        return {"result": apply(point["transform"], point["image"], [*point["terms"], 1], u)}
 
     def adjoint(point, grads):
-        return dict(zip(("image", "transform", "terms", "tone"), apply_adjoint(
-            point["transform"], point["image"], grads["result"], [*point["terms"], 1], u,
-            point["tone"])))
+        return dict(zip(("image", "transform", "terms"), apply_adjoint(
+            point["transform"], point["image"], grads["result"], [*point["terms"], 1], u)))
 
     adjoint_agrees(forward, adjoint, {
-        "transform": a_transform(0), "image": cases.images(*size)[0], "terms": LENS[:3],
-        "tone": TONE},
+        "transform": a_transform(0), "image": cases.images(*size)[0], "terms": LENS[:3]},
         what=f"{size}")
 
 
@@ -58,20 +52,6 @@ def test_adjoint_behind_a_layer_agrees_with_differences():
 def test_gain_is_one_on_the_axis_and_the_sum_of_its_terms_in_the_corner():
     assert gain(LENS, np.zeros((1, 1))) == 1
     assert gain(LENS, np.ones((1, 1))) == pytest.approx(0.75)
-
-
-def test_a_curve_keeps_black_and_white_and_rises_and_has_its_inverse():
-    x = np.linspace(-1, 2, 301)
-    for tone in ([0.4, -0.3], [-1, 1], [1, 1], [0, 0]):
-        y, slope, _ = curve(x, tone)
-        np.testing.assert_allclose(y[[100, 200]], [0, 1], atol=1e-14)
-        assert (np.diff(y) > 0.0099 * np.exp(-2)).all()
-        assert np.exp(-2.001) < slope.min() and slope.max() < np.exp(2.001)
-        back, back_slope, _ = inverse(y, tone)
-        np.testing.assert_allclose(back, x, atol=1e-13)
-        np.testing.assert_allclose(back_slope * slope, 1)
-    assert curve(0.25, [0.1, 0])[0] > 0.25 and curve(0.25, [0, 0.1])[0] < 0.25
-    assert curve(0.75, [0.1, 0])[0] > 0.75 and curve(0.75, [0, 0.1])[0] > 0.75
 
 
 def test_a_lens_steps_as_a_transform_does_and_keeps_its_scale():
@@ -102,8 +82,7 @@ def test_penalty_agrees_with_differences():
 
 def test_identity_changes_nothing_and_entries_stand_row_by_row():
     image = cases.images(7, 5)[0]
-    for tone in (np.zeros(2), TONE):
-        np.testing.assert_allclose(apply(np.eye(3, 4), image, tone=tone), image, atol=1e-14)
+    np.testing.assert_allclose(apply(np.eye(3, 4), image), image, atol=1e-14)
     transform = np.zeros((3, 4))
     transform[1, 2], transform[1, 3] = 2, 0.25  # green is made of blue
     result = apply(transform, image)

@@ -93,7 +93,7 @@ def test_stopped_and_resumed(item_device, city, tmp_path, whole, stops):
 def test_batches_stopped_and_resumed(item_device, city, tmp_path):
     """28 training views are no multiple of 3: epochs end within a step, exposures are recentred
     there, and what is drawn goes by the view, not by the step."""
-    options = {**LEVELLED, "batch": 3, "iterations": 40, "tone": "on"}
+    options = {**LEVELLED, "batch": 3, "iterations": 40, "vignetting": "on"}
     whole = trained(tmp_path / "whole", city, item_device, **options)
     run = trained(tmp_path / "run", city, item_device, **options, stop_at=10)
     for stop in (25, 0):

@@ -266,7 +266,7 @@ def test_levels_and_frequencies_are_recorded(levelled):
     plan, = records(levelled, "plan")
     assert levelled.records()[0] == plan and plan["iteration"] == 0
     assert plan["levels"] == [2.0, 1.0] and set(plan["reasons"]) == set(
-        "steps init levels gaussians sh_degree antialiased exposure vignetting tone robust "
+        "steps init levels gaussians sh_degree antialiased exposure vignetting robust "
         "reproject engine".split())
     level, = records(levelled, "level")
     assert set(level) - set(COMMON) == {"reason", "since", "rounds", "frequency", "slope",

@@ -177,19 +177,17 @@ def test_the_limit_is_of_all_gaussians(item_device, city, tmp_path):
 def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, city, tmp_path):
     # longer than an epoch: they are recentred on the way
     options = {**LEVELLED, **KEEPS, "reproject": "off", "iterations": 40, "test_every": 8,
-               "vignetting": "on", "tone": "on"}
+               "vignetting": "on"}
     run = trained(tmp_path / "coarse", city, item_device, **options)
     learned, held = run.load_exposures(), run.load_checkpoint()[0]["exposure.transforms"]
     names = [view.name for view in city.split(8)[0]]
     assert list(learned) == names
     rows = [response.transform.ravel() for response in learned.values()]
     assert np.array_equal(rows, held)
-    lens, tone = learned[names[0]].vignetting, learned[names[0]].tone
+    lens = learned[names[0]].vignetting
     assert lens[:3].all() and all(np.array_equal(learned[name].vignetting, lens) for name in names)
-    assert tone.all() and all(np.array_equal(learned[name].tone, tone) for name in names)
     assert np.array_equal(np.float32(lens), run.load_checkpoint()[0]["exposure.lenses"][0])
-    assert np.array_equal(np.float32(tone), run.load_checkpoint()[0]["exposure.tones"][0])
-    some = {name: Response(learned[name].transform + 0.2, lens, tone) for name in names[:5]}
+    some = {name: Response(learned[name].transform + 0.2, lens) for name in names[:5]}
     block = trained(tmp_path / "block", replace(block_of(city), exposures=some), item_device,
                     **{**options, "iterations": 1})
     after = block.load_exposures()
@@ -200,7 +198,6 @@ def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, ci
         given = some.get(name, Response())
         assert np.abs(after[name].transform - given.transform).max() < 3e-3
         assert np.allclose(after[name].vignetting, given.vignetting, atol=1e-6)
-        assert np.allclose(after[name].tone, given.tone, atol=1e-6)
 
 
 def test_a_run_without_exposures_leaves_none(item_device, city, tmp_path):
@@ -226,7 +223,7 @@ def test_blocks_follow_the_coarse_run(tmp_path):
     assert (options.exposure, options.sh_degree) == ("on", 2)
     assert options.test_every == options.test_offset == 0
     assert (options.coarse, options.downscale, options.iterations) == (False, 1, 9)
-    assert options.sh_every == 50 and options.vignetting == options.tone == "off"  # of old runs
+    assert options.sh_every == 50 and options.vignetting == "off"  # of old runs
 
 
 # --- the command

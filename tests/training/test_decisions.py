@@ -61,7 +61,7 @@ def test_nothing_is_left_open(city, drift):
     for schedule in ("sig", "constant", "dash"):
         options = found(city, schedule=schedule).options
         assert options.exposure in ("on", "off") and options.reproject in ("on", "off")
-        assert options.vignetting in ("on", "off") and options.tone == "off"
+        assert options.vignetting in ("on", "off")
         assert options.init == ("dense" if schedule == "sig" else "sfm")
         unchanged = {"exposure": "off", "vignetting": "off", "reproject": "off", "init": "sfm"}
         # the city has 32 photos, which allow fewer steps in sig
@@ -150,16 +150,6 @@ def test_vignetting_is_learned_with_exposures_where_corners_are_darker(city, mon
         assert found(city, exposure="on", vignetting=asked).options.vignetting == asked
     with pytest.raises(InputError, match="--exposure on"):
         found(city, exposure="off", vignetting="on")
-
-
-def test_a_tone_curve_is_learned_where_it_is_asked_for_and_exposures_are(city):
-    result = found(city, exposure="on", tone="on")
-    assert result.options.tone == "on" and result.reasons["tone"] == "on: requested"
-    assert found(city, exposure="on").reasons["tone"] == "off: not requested"
-    without = found(city, exposure="off")
-    assert without.options.tone == "off" and "not learned" in without.reasons["tone"]
-    with pytest.raises(InputError, match="--tone on: .* add --exposure on"):
-        found(city, exposure="off", tone="on")
 
 
 def test_few_small_photos_stand_for_all(city, drift):

@@ -14,9 +14,9 @@ from tests.data.tiny_training import CITY, LEVELLED, STILL, options_of
 
 STEPS = 30
 MOST = 20  # launches and fills of a step of the group form
-# exposures with vignetting and tone curve, statistics for growth and harmonics from the second step
+# exposures with vignetting, statistics for growth and harmonics from the second step
 # on; each further degree would be other programs with the same launches
-ALL_ON = {"iterations": STEPS, "exposure": "on", "vignetting": "on", "tone": "on", "sh_degree": 1,
+ALL_ON = {"iterations": STEPS, "exposure": "on", "vignetting": "on", "sh_degree": 1,
           "sh_every": 1, "densify_until": 10**6, **STILL}
 
 
@@ -78,7 +78,7 @@ def test_a_step_of_every_schedule(float_device, city, tmp_path, counted, schedul
 def test_corrected_poses(float_device, city, tmp_path, counted):
     """The corrected camera, the sums of the gradient and the step of the pose."""
     launches = of_a_replay(counted(float_device, city, tmp_path, schedule="constant", poses="on",
-                                   exposure="off", vignetting="off", tone="off",
+                                   exposure="off", vignetting="off",
                                    optimizer="sparse"))
     assert launches == (17 if float_device.form == "item" else 13) + 3
 
@@ -101,6 +101,6 @@ def test_outliers_cost_a_step_nothing(item_device, city, tmp_path, counted):
 def test_without_what_is_optional(float_device, city, tmp_path, counted):
     """Neither exposures nor lazy rows that catch up."""
     launches = of_a_replay(counted(float_device, city, tmp_path, schedule="constant",
-                                   exposure="off", vignetting="off", tone="off",
+                                   exposure="off", vignetting="off",
                                    optimizer="sparse"))
     assert launches == (17 if float_device.form == "item" else 13)

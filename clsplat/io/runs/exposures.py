@@ -11,24 +11,22 @@ from clsplat.io.runs.view_numbers import read_view_numbers
 from clsplat.response import Response
 
 EXPOSURES = "exposures.json"
-TRANSFORM, VIGNETTING, TONE = 12, 4, 2  # numbers of a view; the last ones may be missing
-COUNTS = tuple(np.cumsum((TRANSFORM, VIGNETTING, TONE)).tolist())
+TRANSFORM = 12
+COUNTS = TRANSFORM, TRANSFORM + 4  # numbers of a view: without or with vignetting
 
 
 def write_exposures(path: Path, responses: Mapping[str, Response]) -> None:
     """Write the responses of views by name, without rounding.
 
-    A view has twelve numbers, the rows [M | t] of its transform; the four of its vignetting where
-    it has any, or a tone curve; and the two of its tone curve where it has one.
+    A view has twelve numbers, the rows [M | t] of its transform, and the four of its vignetting
+    where it has any.
     """
     write_object(path, {name: _numbers(response) for name, response in responses.items()}, indent=0)
 
 
 def _numbers(response: Response) -> list[float]:
     numbers: list[float] = response.transform.ravel().tolist()
-    if response.has_vignetting or response.has_tone:
-        numbers += response.vignetting.tolist()
-    return numbers + (response.tone.tolist() if response.has_tone else [])
+    return numbers + (response.vignetting.tolist() if response.has_vignetting else [])
 
 
 def read_exposures(path: Path) -> dict[str, Response]:
@@ -38,5 +36,5 @@ def read_exposures(path: Path) -> dict[str, Response]:
 
 
 def _response(row: NDArray[np.float64]) -> Response:
-    transform, *lens = np.split(row, COUNTS[:-1])
-    return Response(transform.reshape(3, 4), *(part for part in lens if len(part)))
+    transform, lens = row[:TRANSFORM].reshape(3, 4), row[TRANSFORM:]
+    return Response(transform, lens) if len(lens) else Response(transform)
