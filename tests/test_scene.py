@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
 from tests.io.photos.test_metadata import photo

@@ -28,7 +28,7 @@ from clsplat.io.photos.mask_files import MASKS
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, write_object
 from clsplat.io.regular import read_regular
-from clsplat.io.scenes.colmap_format import CAMERA_MODELS
+from clsplat.io.scenes.colmap_files import CAMERA_MODELS
 from clsplat.sfm.database import create_database, photo_index
 from clsplat.sfm.features import extract_features
 from clsplat.sfm.mapping import Mapped, map_photos

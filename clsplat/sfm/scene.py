@@ -16,7 +16,7 @@ from clsplat.io.folders import link_file, make_folder
 from clsplat.io.photos.images import read_image
 from clsplat.io.photos.mask_files import MASKS
 from clsplat.io.regular import native
-from clsplat.io.scenes.colmap_write import write_reconstruction
+from clsplat.io.scenes.colmap import write_reconstruction
 from clsplat.io.scenes.sources import IMAGES
 from clsplat.sfm.features import threads
 from clsplat.sfm.photos import SourcePhoto

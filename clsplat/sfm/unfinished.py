@@ -12,7 +12,7 @@ from clsplat.errors import InputError
 from clsplat.io.photos.mask_files import MASKS
 from clsplat.io.records import object_of, write_object
 from clsplat.io.regular import read_regular
-from clsplat.io.scenes.colmap_write import write_reconstruction
+from clsplat.io.scenes.colmap import write_reconstruction
 from clsplat.io.scenes.sources import IMAGES
 from clsplat.sfm.mapping import Mapped
 from clsplat.sfm.photos import UNFINISHED, SourcePhoto

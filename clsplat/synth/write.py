@@ -16,7 +16,7 @@ from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.folders import make_folder, remove_files
 from clsplat.io.photos.images import write_image
-from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 from clsplat.scene import View
 from clsplat.synth import geometry
 from clsplat.synth.cameras import survey

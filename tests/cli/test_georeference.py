@@ -64,7 +64,7 @@ def test_what_cannot_be_done_is_said_in_one_line(tmp_path):
     ("exif_gps_whole_seconds", "GPS of 12 photos: residual 0.00 m", 326892, 4685197, 100),
     ("exif_gps_status_void", "positions of 12 photos as void; they are used", 326892, 4685198, 100),
     ("exif_altitude_zero", "residual 0.00 m along the ground, 0.02 m in h", 326892, 4685197, 100),
-    ("tracks_without_observations", "error: CASE: not georeferenced: no photo has GPS;", 0, 0, 0),
+    ("tracks_without_observations", "export the model with the observations of its", 0, 0, 0),
     ("gcp/scene wkt_ft", "are taken as US survey foot, the unit of its x", 549909, 4147338, 300),
     ("gcp/scene_space spacename", "by 7 ground control points: residual 0.00", 500123, 5200451,
      300),

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import plyfile
 
-from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 
 OPENGL = np.array([1.0, -1.0, -1.0])  # camera axes right, down, forward to right, up, back
 # world axes of Mega-NeRF: right, down, forward to down, right, back

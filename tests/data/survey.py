@@ -8,7 +8,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from clsplat.io.photos.metadata import PhotoMetadata
-from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 from tests.data.fields import field
 
 ORIGIN = np.array([587671.0, 3338100.0, 309.0])  # in UTM zone 14 north

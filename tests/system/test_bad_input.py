@@ -20,7 +20,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply
 from clsplat.io.photos.images import read_image, write_image
 from clsplat.io.runs.run import RunFolder
-from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 from clsplat.io.scenes.read import read_scene
 from tests.data.tiny_model import HEIGHT, WIDTH, reconstruction, write_scene
 

@@ -24,9 +24,7 @@ from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction
 from clsplat.io.photos.metadata import read_metadata
 from clsplat.io.regular import native
-from clsplat.io.scenes.colmap import read_model
-from clsplat.io.scenes.colmap_reconstruction import read_reconstruction
-from clsplat.io.scenes.colmap_write import write_reconstruction
+from clsplat.io.scenes.colmap import read_model, read_reconstruction, write_reconstruction
 from clsplat.io.scenes.sources import photo_folder
 
 SPARSE = "sparse"

@@ -13,7 +13,7 @@ from clsplat.io.photos.images import encode_image
 from clsplat.io.photos.mask_files import MASKS
 from clsplat.io.photos.views import read_photo, read_valid
 from clsplat.io.regular import native
-from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 from clsplat.scene import Scene, View
 
 DEPTH = "depth"  # folder of the depth maps

@@ -9,7 +9,7 @@ from skimage.io import imsave
 from clsplat.densify.sphere import with_spheres
 from clsplat.gaussians import Gaussians, mean_inverse_distance
 from clsplat.io.models.ply import read_ply, write_ply
-from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 from clsplat.io.scenes.read import read_scene
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene, View

@@ -14,7 +14,7 @@ from clsplat.io.georeference.control_points import ControlPoint
 from clsplat.io.georeference.crs import normal_crs
 from clsplat.io.georeference.reconstruction import place_reconstruction, turned
 from clsplat.io.photos.metadata import PhotoMetadata
-from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 from clsplat.scene import View
 from tests.data.survey import CRS, Survey
 

@@ -10,7 +10,7 @@ from clsplat.io.photos.brown import NAME, Brown
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.lenses import FACES, undistorted_model
 from clsplat.io.photos.views import read_photo, read_valid
-from clsplat.io.scenes.colmap_format import CAMERA_MODELS, PINHOLES
+from clsplat.io.scenes.colmap_files import CAMERA_MODELS, PINHOLES
 from clsplat.scene import View
 
 SIZE = 160, 120

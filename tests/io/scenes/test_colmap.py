@@ -10,7 +10,7 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.io.photos.images import write_image
 from clsplat.io.scenes.colmap import read_colmap
-from clsplat.io.scenes.colmap_format import CAMERA_MODELS
+from clsplat.io.scenes.colmap_files import CAMERA_MODELS
 from clsplat.io.scenes.read import fingerprint, read_scene
 from tests.data.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, write_scene
 
