@@ -8,6 +8,7 @@ import pytest
 
 from clsplat.io.photos.images import read_image, write_image
 from clsplat.io.photos.metadata import PhotoMetadata
+from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
 from clsplat.sfm.photos import SourcePhoto
 from clsplat.sfm.scene import write_scene
@@ -42,7 +43,7 @@ def test_points_are_where_the_undistorted_photos_show_them(made):
     compared = 0
     for view, image in zip(scene.views, (model.images[number] for number in range(1, 7))):
         assert view.lens is not None
-        photo = view.photo().astype(float)
+        photo = read_photo(view).astype(float)
         for point in image.points2D:
             if not point.has_point3D():
                 continue
