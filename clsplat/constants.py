@@ -29,7 +29,7 @@ FREQUENCY_TERMS: Final = 11  # columns of cl/frequency.cl
 FREQUENCY_SUMS: Final = FREQUENCY_TERMS + 1
 
 SH_C0: Final = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
-# blending (Kerbl et al. 2023); docs/notebook/numerics.md compares other values of the first two
+# blending (Kerbl et al. 2023); docs/evidence/numerics.md compares other values of the first two
 ALPHA_STEPS: Final = 255  # alphas below 1 / ALPHA_STEPS are skipped
 TRANSMITTANCE_MIN: Final = 1e-4  # a pixel ends before it would fall below this
 ALPHA_MAX: Final = 0.99

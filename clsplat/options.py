@@ -55,7 +55,8 @@ class RunOptions:
 
     iterations: int = option(AUTO, "Run", "training steps; auto: 300 for each training photo, at "
                              "least 7000 and at most 30000; --visits may end them earlier",
-                             short="-n", main=True, words={AUTO: AUTO}, minimum=1, most=MOST_STEPS)
+                             short="-n", main=True, words={AUTO: AUTO}, minimum=1, most=MOST_STEPS,
+                             measured=True)
     steps_scale: float = option(1.0, "Run", "multiply the number of steps, and every step count "
                                 "of the schedule, by this", minimum=1e-4, most=1e4)
     seed: int = option(0, "Run", "seed of all random choices; the same seed and device give the "

@@ -24,15 +24,15 @@ COMMANDS = "<!-- commands -->"  # a page has them in its place
 
 
 def on_config(config):
-    """Pages are all of docs/, guide and notebook, and their head names the version."""
+    """Pages are all of docs/, guide and evidence, and their head names the version."""
     config.docs_dir = str(Path(config.config_file_path).parent)
     config.site_name = f"clsplat {__version__}"
     return config
 
 
 def on_page_markdown(markdown, page, config, files):
-    """The guide comes before the notebook in a search; one page has the commands."""
-    if page.file.src_uri.startswith("notebook/"):
+    """The guide comes before the evidence in a search; one page has the commands."""
+    if page.file.src_uri.startswith("evidence/"):
         page.meta["search"] = {"boost": 0.001}  # a word in a heading counts a thousandfold
     return markdown.replace(COMMANDS, commands()) if COMMANDS in markdown else markdown
 

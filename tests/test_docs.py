@@ -25,7 +25,7 @@ def test_every_page_is_in_the_navigation():
     listed = re.findall(r"(?m)^ +- [^:\n]+: (\S+\.md)$", SETTINGS.partition("\nnav:\n")[2])
     there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     assert len(listed) == len(set(listed)) and set(listed) == there
-    linked = re.findall(r"\(((?:guide|notebook)/[^)#]+)\)", (DOCS / "index.md").read_text("utf-8"))
+    linked = re.findall(r"\(((?:guide|evidence)/[^)#]+)\)", (DOCS / "index.md").read_text("utf-8"))
     assert sorted(linked) == sorted(there - {"index.md"})
 
 

@@ -26,9 +26,9 @@ except ImportError:  # Python 3.10
     import tomli as tomllib
 
 DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")
-              if path.parent.name != "notebook")
+              if path.parent.name != "evidence")  # made of commands of earlier commits
 # what users read: they may have no checkout
-USER_PAGES = ("README.md", "CHANGELOG.md", *(page for page in DOCS if "notebook" not in page))
+USER_PAGES = ("README.md", "CHANGELOG.md", *DOCS)
 PAGES = ("CONTRIBUTING.md", *USER_PAGES, *(page for page in DOCS if page not in USER_PAGES))
 # other programs that may be named; their options are not checked
 PROGRAMS = {"pip", "python", "python3", "apt-get", "apt", "brew", "conda", "git", "dask", "colmap",

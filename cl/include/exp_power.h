@@ -1,6 +1,6 @@
 // The exponential of the powers that matter, -6 to 0, of the width `vreal`. EXP_KIND, a choice at
 // build time: 0 exp2, 1 native_exp2, 3 to 6 the degree of our polynomial
-// (docs/notebook/numerics.md).
+// (docs/evidence/numerics.md).
 // Default: degree 4 in the item form, whose error is that of float; in the group form native_exp2
 // where it was seen accurate, else degree 6.
 #ifndef EXP_KIND

@@ -45,7 +45,7 @@ INLINE void tile_rows(Ellipse e, int tiles_y, int *begin, int *end)
 INLINE void strip_ends(Ellipse e, real first_y, real last_y, real *left, real *right)
 {
     const real slope = e.shear * e.extent_y;
-#if BOX_TILES // all tiles of the ellipse's bounding box: its cost: docs/notebook/numerics.md
+#if BOX_TILES // all tiles of the ellipse's bounding box: its cost: docs/evidence/numerics.md
     *right = sqrt(slope * slope + e.half_width * e.half_width);
     *left = -*right;
 #else

@@ -81,7 +81,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
             drop = DropTest(device, gaussians,
                             scene.reduced(small.downscale, small.max_resolution))
-        # citygs was no better for it (docs/notebook/city.md), and vastgs counts cameras
+        # citygs was no better for it, and vastgs counts cameras
         weights = (counted_where(gaussians, dense) if partition_options.method == "blockgs"
                    else None)
         partition = make_partition(scene, partition_options, gaussians, views, drop, weights)

@@ -180,7 +180,7 @@ def trains_jointly(facts: SceneFacts, photos: int, options: TrainOptions) -> boo
     """Whether a city whose model a device holds is trained jointly at the end, if nobody says so.
 
     Only where one run takes all the steps that its photos allow: with fewer, blocks gain more by
-    steps of their own (docs/notebook/city.md). Other schedules than sig are trained as they were
+    steps of their own (docs/evidence/cities.md). Other schedules than sig are trained as they were
     published, and a time budget is one of each block.
 
     Parameters

@@ -4,7 +4,7 @@ Blocks learn apart from each other, under surroundings that are those of the coa
 device holds the whole model, steps on whole photos remove what that leaves: seams, and gaussians
 that only one block needed. The training begins at points of the blocks' gaussians and at dense
 points, as one run does: with the shapes and opacities of the blocks it ends in a worse model
-(docs/notebook/city.md).
+(docs/evidence/cities.md).
 """
 
 import dataclasses

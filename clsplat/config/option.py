@@ -31,7 +31,7 @@ def option(default: Any, group: str, text: str, *, affects: str = "model",
            minimum: float | None = None, maximum: float | None = None, most: float | None = None,
            expects: str | None = None, check: Callable[[Any], object] | None = None,
            separator: str | None = None, sets: dict[Any, dict[str, Any]] | None = None,
-           part: str | None = None, flag: bool = True) -> Any:
+           part: str | None = None, flag: bool = True, measured: bool = False) -> Any:
     """A field of a dataclass of options.
 
     Parameters
@@ -53,6 +53,7 @@ def option(default: Any, group: str, text: str, *, affects: str = "model",
     sets : value of this option -> {name: value} of options that it sets unless the user does.
     part : part of a training that the option belongs to; schedules without it refuse the option.
     flag : whether it is a flag of the command line, too; else it is for Python, TOML and presets.
+    measured : whether a measurement chose the default; docs/evidence/index.md has a line for it.
     """
     settings = {name: value for name, value in locals().items() if name not in ("default", "text")}
     return dataclasses.field(default=default, metadata={**settings, "help": text,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from clsplat.scene import View
 
 # Measured at up to 256 pixels, on three divisions: caliterra 0.04, copr_dunes 0.08 to 0.09,
-# boruszyn 0.18, sheffield_cross 0.04, lund 0.02, mirafiori -0.04 (docs/notebook/exposure.md)
+# boruszyn 0.18, sheffield_cross 0.04, lund 0.02, mirafiori -0.04 (docs/evidence/photos.md)
 DARKENS = 0.03  # share of brightness lost in the corners from which on vignetting is learned
 ROUNDS = 20  # of taking away means of photos and of points in turn
 

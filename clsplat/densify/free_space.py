@@ -2,7 +2,7 @@
 
 Haze that stands there makes single training photos fit better and all other views worse. A coarse
 run, which begins at few points, makes some; the blocks that begin with it split it further, and one
-view of caliterra then lost 4 dB (docs/notebook/city.md).
+view of caliterra then lost 4 dB.
 """
 
 from __future__ import annotations

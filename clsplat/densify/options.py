@@ -25,7 +25,8 @@ class GrowthOptions:
     prune_opacity: float = option(0.005, "Growth", "remove gaussians of lower opacity",
                                   minimum=0.0, maximum=1.0, flag=False)
     prune_size: float = option(0.0, "Growth", "remove gaussians that are larger than this share of "
-                               "the scene extent", words={"none": 0.0}, minimum=0.0, flag=False)
+                               "the scene extent", words={"none": 0.0}, minimum=0.0, flag=False,
+                               measured=True)
     reset_every: int = option(0, "Growth", "steps between opacity resets", words={"none": 0},
                               minimum=1, flag=False)
 
@@ -36,12 +37,12 @@ class SphereOptions:
 
     sphere: bool = option(False, "Spheres", "remove gaussians that leave the sphere around their "
                           "anchor; on where another option of spheres is given", part="spheres",
-                          flag=False)
+                          flag=False, measured=True)
     sphere_neighbours: int = option(15, "Spheres", "number of nearest points whose mean distance "
                                     "is the unit of a sphere's radius", minimum=1, part="spheres",
                                     flag=False)
     sphere_reach: float = option(30.0, "Spheres", "radius of a sphere, in these units",
-                                 minimum=0.0, part="spheres", flag=False)
+                                 minimum=0.0, part="spheres", flag=False, measured=True)
     sphere_shrink: float = option(0.7, "Spheres", "radius of the children of a split, as a share "
                                   "of their parent's", minimum=0.0, part="spheres", flag=False)
     sphere_rule: str = option("paper", "Spheres", "anchor of the children of a split: their "

@@ -10,7 +10,7 @@ class ImageLossOptions:
     """The loss between a render and its photo."""
 
     ssim_weight: float = option(0.2, "Loss", "share of D-SSIM in the image loss, the rest is L1",
-                                minimum=0.0, maximum=1.0, flag=False)
+                                minimum=0.0, maximum=1.0, flag=False, measured=True)
 
 
 @dataclass(frozen=True)
@@ -18,10 +18,10 @@ class RegulariseOptions:
     """Regularisation of the gaussians that a view sees."""
 
     opacity_weight: float = option(0.0, "Loss", "weight of the mean opacity of the gaussians",
-                                   minimum=0.0, flag=False)
+                                   minimum=0.0, flag=False, measured=True)
     scale_weight: float = option(0.0, "Loss", "weight of the mean standard deviation of the "
                                  "gaussians, as a share of the scene extent", minimum=0.0,
-                                 flag=False)
+                                 flag=False, measured=True)
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class ExposureOptions:
 
     exposure: str = option("auto", "Loss", "learn a colour transform for each photo; auto: where "
                            "the brightness of photos drifts", main=True,
-                           choices=("auto", "on", "off"))
+                           choices=("auto", "on", "off"), measured=True)
     vignetting: str = option("off", "Loss", "where exposures are learned, learn how much "
                              "darker the corners of a camera's photos are; auto: where they are",
-                             choices=("off", "auto", "on"))
+                             choices=("off", "auto", "on"), measured=True)
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class RobustOptions:
 
     robust: str = option("off", "Loss", "leave out pixels of a photo that the model cannot explain "
                          "though it explains the same place in other photos: people, cars, glare",
-                         main=True, choices=("off", "on"))
+                         main=True, choices=("off", "on"), measured=True)
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,8 @@ class ReprojectOptions:
 
     reproject: str = option("off", "Loss", "while the model grows, compare each photo with an "
                             "adjacent one through the rendered depth; auto: where adjacent photos "
-                            "exist", choices=("off", "auto", "on"), part="reprojection")
+                            "exist", choices=("off", "auto", "on"), part="reprojection",
+                            measured=True)
     reproject_weight: float = option(
         0.1, "Loss", "initial weight of that comparison; it decays to a tenth", minimum=0.0,
         part="reprojection", flag=False)

@@ -10,7 +10,7 @@ class PoseOptions:
     """Corrections of the poses of training views."""
 
     poses: str = option("off", "Optimisation", "on: correct the poses of the training photos a "
-                        "little, beside the gaussians", choices=("off", "on"))
+                        "little, beside the gaussians", choices=("off", "on"), measured=True)
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class OptimiseOptions:
 
     batch: int = option(1, "Optimisation", "photos in each step; their mean gradient moves the "
                         "gaussians once, and a step takes as many times longer", minimum=1,
-                        most=1024)
+                        most=1024, measured=True)
     optimizer: str = option("dense", "Optimisation", "dense: Adam updates every gaussian at each "
                             "step; sparse: only those that the view sees",
                             choices=("dense", "sparse"), flag=False)
@@ -28,6 +28,6 @@ class OptimiseOptions:
                          choices=("auto", "device", "numpy"), flag=False)
     position_noise: float = option(
         0.0, "Optimisation", "random steps of nearly transparent gaussians, as a multiple of the "
-        "learning rate of the positions", minimum=0.0, flag=False)
+        "learning rate of the positions", minimum=0.0, flag=False, measured=True)
     opacity_rate: float = option(0.025, "Optimisation", "learning rate of the opacity logits",
-                                 minimum=0.0, flag=False)
+                                 minimum=0.0, flag=False, measured=True)

@@ -53,7 +53,8 @@ class PartitionOptions:
         0, "Blocks", "gaussians that a block may end with; auto: as many as fit the device",
         affects="nothing", words={AUTO: 0}, minimum=LEAST_GAUSSIANS)
     margin: float = option(0.3, "Blocks", "width of the strip around a block that it also trains, "
-                           "as a share of the block's sides", minimum=0.0, maximum=10.0)
+                           "as a share of the block's sides", minimum=0.0, maximum=10.0,
+                           measured=True)
     up: tuple[float, float, float] | None = option(
         None, "Blocks", "the direction that points up; default: estimated from the cameras",
         expects="three numbers that are not all 0, such as 0 0 1", minimum=-MOST[float],
@@ -67,7 +68,7 @@ class PartitionOptions:
                           choices=("refuse", "join"))
     threshold: float = option(0.003, "Blocks", "citygs assigns a view to a block if the view "
                               "without the block changes by more than this, as 1 - SSIM",
-                              minimum=0.0, maximum=2.0)
+                              minimum=0.0, maximum=2.0, measured=True)
     surroundings: str = option("auto", "Blocks", "what a block does with the gaussians around "
                                "it, which it does not train: layers: draw them once for each "
                                "view; gaussians: hold them all, as it does with --depth or "
@@ -77,17 +78,19 @@ class PartitionOptions:
                             "gaussians while they train, so that both sides of a border agree; "
                             "blocks with few steps do it less often, and with --time-budget never; "
                             "auto: never before a joint training, else 3",
-                            words={AUTO: AUTO}, minimum=0, maximum=20)
+                            words={AUTO: AUTO}, minimum=0, maximum=20, measured=True)
     block_steps: float = option(AUTO, "Blocks", "steps of all blocks together, as a multiple of "
                                 "those of one run; with more, each gaussian is seen more often, "
                                 "which is better and takes longer; auto: 0.25 before a joint "
-                                "training, else 2", words={AUTO: AUTO}, minimum=0.1, maximum=100.0)
+                                "training, else 2", words={AUTO: AUTO}, minimum=0.1, maximum=100.0,
+                                measured=True)
     joint_steps: float = option(AUTO, "Blocks", "steps of the joint training, in which the whole "
                                 "is trained on one device from points of the blocks' gaussians and "
                                 "dense points, as a multiple of those of one run; auto: 0.5, where "
                                 "that device holds the whole and one run takes all the steps that "
                                 "its photos allow (--visits), with --schedule sig",
-                                words={AUTO: AUTO, "none": 0.0}, minimum=0.01, maximum=10.0)
+                                words={AUTO: AUTO, "none": 0.0}, minimum=0.01, maximum=10.0,
+                                measured=True)
     least_views: int = option(8, "Blocks", "number of views below which a block has too few",
                               minimum=0)
     expected: int = 0

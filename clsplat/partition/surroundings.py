@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # A surrounding gaussian that enters a block's reach by so many of its standard deviations is drawn
 # with the block. With more of them, views resemble those of the whole model less, as each is then
-# drawn before or after layers to which it belongs (docs/notebook/city.md).
+# drawn before or after layers to which it belongs.
 HELD_DEVIATIONS = 1.0
 
 ROUNDING = 1e-6  # of a gaussian's extent, which is computed in two ways

@@ -11,11 +11,11 @@ class RenderingOptions:
 
     sh_degree: int = option(3, "Rendering", "highest degree of the spherical harmonics; auto: the "
                             "lowest that the viewing angles of this scene can tell apart",
-                            main=True, words={AUTO: AUTO}, minimum=0, maximum=3)
+                            main=True, words={AUTO: AUTO}, minimum=0, maximum=3, measured=True)
     sh_every: int = option(1000, "Rendering", "steps after which the next degree of the spherical "
-                           "harmonics begins to train", minimum=1, flag=False)
+                           "harmonics begins to train", minimum=1, flag=False, measured=True)
     antialiased: bool = option(False, "Rendering", "scale opacities by the area that the low-pass "
-                               "filter adds to a splat")
+                               "filter adds to a splat", measured=True)
     near: float = option(0.0, "Rendering", "distance of the near plane, world units; auto: 1/500 "
                          "of the scene extent", words={AUTO: 0.0}, minimum=0.0, flag=False)
     background: tuple[float, float, float] = option(

@@ -66,4 +66,4 @@ class ScheduleOptions:
     schedule: str = option("sig", "Schedule", "how resolution and growth are decided: sig follows "
                            "the scene frequency; constant is 3DGS; dash is DashGaussian; taming is "
                            "Taming 3DGS; mcmc is 3DGS-MCMC", main=True, choices=tuple(OURS),
-                           more=others)
+                           more=others, measured=True)

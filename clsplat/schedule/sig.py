@@ -74,36 +74,36 @@ class SigOptions:
         (), "Levels", "down-sampling factors of the levels, from coarse to fine, such as 4,2,1; "
         "auto: 5,4,3,2,1 without those whose images are too small to matter", words={AUTO: ()},
         minimum=1.0, expects="factors that fall and end at 1, such as 4,2,1", check=check_levels,
-        part="sig")
+        part="sig", measured=True)
     frequency: str = option("robust", "Levels", "which scene frequency is tested for convergence",
-                            choices=VARIANTS, part="sig", flag=False)
+                            choices=VARIANTS, part="sig", flag=False, measured=True)
     convergence: str = option("robust", "Levels", "how it is tested", choices=VARIANTS, part="sig",
                               sets={"paper": {"convergence_rate": 5e-5}}, flag=False)
     convergence_rate: float = option(
         1e-4, "Levels", "a level has converged when the scene frequency grows by less than this "
         "share of itself a step (convergence = paper: of the points' mean 1 / distance)",
-        minimum=0.0, part="sig", flag=False)
+        minimum=0.0, part="sig", flag=False, measured=True)
     convergence_hits: int = option(2, "Levels", "tests in a row that must find convergence",
                                    minimum=1, part="sig", flag=False)
     level_share: float = option(
         AUTO, "Levels", "share of the run that the coarser levels may take together, each in "
         "proportion to its resolution; auto: as much as its resolution is of that of all levels; "
         "all: they have no deadlines", words={AUTO: AUTO, "all": 1.0}, minimum=0.0, maximum=1.0,
-        part="sig", flag=False)
+        part="sig", flag=False, measured=True)
     rounds: int = option(12, "Levels", "largest number of rounds of growth at each level; all: "
                          "rounds at fixed intervals, as --schedule constant has them",
-                         words={"all": 0}, minimum=1, part="sig", flag=False)
+                         words={"all": 0}, minimum=1, part="sig", flag=False, measured=True)
     level_reset: bool = option(True, "Levels", "reset opacities at the start of each level, so "
                                "that gaussians which the sharper images do not need are pruned",
-                               part="sig", flag=False)
+                               part="sig", flag=False, measured=True)
     pixels_per_gaussian: float = option(
         AUTO, "Levels", "the model grows only while each gaussian has at least this many training "
         "pixels, at the level's size; auto: fewer where the photos agree about the colours",
-        words={AUTO: AUTO, "none": 0.0}, minimum=0.0, part="sig")
+        words={AUTO: AUTO, "none": 0.0}, minimum=0.0, part="sig", measured=True)
     visits: float = option(
         AUTO, "Levels", "most steps for each training photo, whatever -n is; auto: 150, or 7000 "
         "in all, and fewer where the photos disagree about the colours; all: as -n says",
-        words={AUTO: AUTO, "all": 0.0}, minimum=0.0, part="sig")
+        words={AUTO: AUTO, "all": 0.0}, minimum=0.0, part="sig", measured=True)
     free_space: float = option(
         0.0, "Growth", "remove gaussians nearer to a camera than this share of the depth of the "
         "nearest points in its photo, such as 0.5", words={"none": 0.0}, minimum=0.0, maximum=1.0,
@@ -260,7 +260,7 @@ class Sig(Schedule):
         """See `Schedule.decay`: the position rate falls at the finest level only.
 
         A gaussian that has settled at a coarser level must still be able to move when finer images
-        show where it belongs (docs/notebook/results.md).
+        show where it belongs (docs/evidence/schedules.md).
         """
         left = self.options.iterations - self.began
         return min(1.0, (iteration - 1 - self.began) / max(1, left)) if self.last else 0.0

@@ -25,7 +25,7 @@ USUAL_PHOTOS = 5.0  # that show a point
 MOST_A_PHOTO = 150  # steps for each training photo; after more, held-out photos get worse
 ENOUGH = 7000  # steps, however few the photos are, if they agree
 AGREEING = 0.036  # of full brightness: photos of a place that differ by more allow fewer steps
-POWER = 3  # of that ratio; see docs/notebook/judge.md
+POWER = 3  # of that ratio; see docs/evidence/schedules.md
 FEWEST, FEWEST_A_PHOTO = 1000, 50  # steps, however much the photos disagree
 
 

@@ -25,7 +25,7 @@ from clsplat.sfm.progress import Progress
 
 WORKING_SIZE = 1600  # long side in pixels of the image in which features are searched
 LARGEST_FACTOR = 2.0
-MOST_FEATURES = 6144  # 4096 give too few points to start from: docs/notebook/results.md
+MOST_FEATURES = 6144  # 4096 give too few points to start from: docs/evidence/photos.md
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 
 

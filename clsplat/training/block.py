@@ -42,7 +42,7 @@ def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[st
 
     Blocks have training views only, so none is held out. Degrees of spherical harmonics become
     active one after the other, as in any run, though gaussians of the coarse run have them from the
-    start: with all of them active at once, blocks were not better (docs/notebook/city.md).
+    start: with all of them active at once, blocks were not better.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""The experiments behind the defaults, which are not shipped; results are in docs/notebook."""
+"""The experiments behind the defaults, which are not shipped; results/ has what they found."""

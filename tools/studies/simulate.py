@@ -28,7 +28,7 @@ from clsplat.distribute.task import DONE, FAILED, LOST
 from clsplat.report.page import Table
 from tools.studies.evidence import markdown, outermost
 
-# of 30 000 steps, from the 7000 of docs/notebook/results.md: 9.4 s on an H200, 211 s on two cores
+# of 30 000 steps, from 7000: 9.4 s on an H200, 211 s on two cores
 SECONDS = (40.0, 900.0)
 MOST_ROUNDS = 10  # of the same command, as a user would repeat it
 

@@ -1,7 +1,7 @@
 """Images interpolated at any places, by sparse matrices of weights.
 
 The kernel is the cubic convolution of Keys (1981) with a = -1/2, also called Catmull-Rom. A linear
-kernel blurs: docs/notebook/results.md has figures.
+kernel blurs: docs/evidence/photos.md has figures.
 """
 
 import itertools

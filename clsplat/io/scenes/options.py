@@ -24,4 +24,4 @@ class SceneOptions:
     init: str = option(AUTO, "Scene", "initial gaussians: sfm (the sparse points), dense (places "
                        "on which several photos agree), random, or a file of gaussians or points; "
                        "auto: dense with --schedule sig, where photos overlap and the run is not "
-                       "short, else sfm", main=True)
+                       "short, else sfm", main=True, measured=True)
