@@ -104,10 +104,6 @@ class SigOptions:
         AUTO, "Levels", "most steps for each training photo, whatever -n is; auto: 150, or 7000 "
         "in all, and fewer where the photos disagree about the colours; all: as -n says",
         words={AUTO: AUTO, "all": 0.0}, minimum=0.0, part="sig", measured=True)
-    free_space: float = option(
-        0.0, "Growth", "remove gaussians nearer to a camera than this share of the depth of the "
-        "nearest points in its photo, such as 0.5", words={"none": 0.0}, minimum=0.0, maximum=1.0,
-        part="sig", flag=False)
 
 
 class Sig(Schedule):

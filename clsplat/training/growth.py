@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.densify.free_space import FreeSpace
 from clsplat.densify.grow import Candidates, Growth, plan_growth
 from clsplat.densify.relocate import plan_relocation
 from clsplat.densify.scores import taming_scores
@@ -36,7 +35,6 @@ class Round:
     extent : of the scene, world units.
     gradient : returns float[N], mean screen gradients; called where the schedule needs them.
     frozen : bool[N], gaussians that are not trained; they stay.
-    free_space : in which no gaussian may be; None: none is known.
     """
 
     iteration: int
@@ -46,7 +44,6 @@ class Round:
     extent: float
     gradient: Callable[[], NDArray[np.floating]]
     frozen: NDArray[np.bool_]
-    free_space: FreeSpace | None = None
 
     def growth(self, renderer: Renderer, rows: Rows, scoring_views: ScoringViews) -> Growth:
         """Decide what becomes of each gaussian.
@@ -69,17 +66,13 @@ class Round:
                                    self.frozen, self._room(count, 0) or 0,
                                    options.prune_opacity, rng)
         prunes, scores, gradient = candidates.prunes & ~self.frozen, None, self.gradient()
-        ungrown = self.frozen
-        if self.free_space:  # what is only too large may be split instead, but not this
-            ungrown = ungrown | self.free_space.holds(host["positions"])
-            prunes |= ungrown & ~self.frozen
         if self.schedule.selection == "score":
             scores = taming_scores(renderer, rows, scoring_views(), self.plan.degree,
                                    options.ssim_weight, gradient)
             if self.schedule.spares_half(self.iteration):
                 prunes = half_of(prunes, scores, rng)
-        if ungrown.any():
-            gradient = np.where(ungrown, -np.inf, gradient)
+        if self.frozen.any():
+            gradient = np.where(self.frozen, -np.inf, gradient)
         grows = self._selected(gradient, candidates, prunes, scores, rng)
         return plan_growth(candidates, grows, prunes, rng)
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.densify.free_space import FreeSpace
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -54,12 +53,6 @@ class PreparedScene:
     def trains(self) -> Callable[..., NDArray[np.bool_]] | None:
         """Tells which gaussians a block of a city trains (`step.Step`); None: all."""
         return functools.partial(trainable, self.scene) if self.scene.region else None
-
-    @property
-    def free_space(self) -> FreeSpace | None:
-        """In which growth leaves no gaussians; None: nowhere."""
-        share = self.options.free_space
-        return FreeSpace(self.scene, self.train_views, share) if share else None
 
     @functools.cached_property
     def surroundings(self) -> Gaussians | None:

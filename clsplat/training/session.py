@@ -103,7 +103,7 @@ class Session:
             cameras = [view.camera for view in self.train_views]
             poses = Poses(device, cameras, typical_depth(cameras, self.scene.points))
         self.step = Step(self.renderer, model, self.scene.extent, options, exposures, poses,
-                         prepared.trains, prepared.free_space)
+                         prepared.trains)
         neighbours = self.decisions.neighbours
         self.source_views = (SourceViews(device, neighbours, exposures, options.seed)
                              if neighbours else None)

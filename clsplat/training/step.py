@@ -15,7 +15,6 @@ from clsplat.constants import (
     COUNT_SUM_PAIRS,
     COUNT_SUM_VISIBLE,
 )
-from clsplat.densify.free_space import FreeSpace
 from clsplat.densify.statistics import Statistics
 from clsplat.device import Array, Graph
 from clsplat.gaussians import LEARNED
@@ -58,7 +57,6 @@ class Step:
     poses : corrections of the poses of the views; None: they stay as they were given.
     trains : (positions, log_scales) float32[N, 3] -> bool[N], those that are trained; called
         at each round of growth; None: all are.
-    free_space : in which no gaussian may be; None: none is known.
 
     Attributes
     ----------
@@ -69,11 +67,10 @@ class Step:
 
     def __init__(self, renderer: Renderer, model: Model, extent: float, options: TrainOptions,
                  exposures: Exposures | None = None, poses: Poses | None = None,
-                 trains: Callable[..., NDArray[np.bool_]] | None = None,
-                 free_space: FreeSpace | None = None) -> None:
+                 trains: Callable[..., NDArray[np.bool_]] | None = None) -> None:
         self.renderer, self._model, self.extent, self.options = renderer, model, extent, options
         self.device, self._exposures, self.trains = renderer.device, exposures, trains
-        self._poses, self.free_space = poses, free_space
+        self._poses = poses
         self.terms = terms_of(self.device, options)
         self._statistics = Statistics(self.device, model.count)
         self.skipped = SkippedGradients(
@@ -372,7 +369,7 @@ class Step:
         self.freeze()
         frozen = np.zeros(model.count, bool) if self.frozen is None else self.frozen.download() > 0
         growth = Round(iteration, plan, schedule, self.options, self.extent,
-                       statistics.mean_gradient, frozen, self.free_space).growth(
+                       statistics.mean_gradient, frozen).growth(
                            self.renderer, model.rows, scoring_views)
         self.release()  # or recordings would keep the memory of frames while rows are copied
         model.regrow(growth)

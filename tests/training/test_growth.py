@@ -24,7 +24,7 @@ class Other(Schedule):
         return self.most
 
 
-def a_round(selection, most=None, frozen=(), free_space=None):
+def a_round(selection, most=None, frozen=()):
     """A round of small gaussians, of which none is split."""
     options = TrainOptions()
     schedule = Other(options, SceneFacts((640, 480), COUNT, 1.0, photos=None, pixels=1))
@@ -35,7 +35,7 @@ def a_round(selection, most=None, frozen=(), free_space=None):
     on_device = {name: SimpleNamespace(download=lambda values=values: values.astype(np.float32))
                  for name, values in rows.items()}
     return Round(501, PLAN, schedule, options, 1.0, lambda: GRADIENT,
-                 np.isin(np.arange(COUNT), frozen), free_space).growth(None, on_device, list)
+                 np.isin(np.arange(COUNT), frozen)).growth(None, on_device, list)
 
 
 def grown(selection, most=None, frozen=()):
@@ -56,11 +56,3 @@ def test_without_a_target_all_that_reach_the_threshold_grow(selection):
     ("highest", 20, [0, 1, 2, 3, 5]), ("threshold", 3, []), ("highest", 3, [])])
 def test_a_target_limits_the_round(selection, most, chosen):
     assert grown(selection, most) == chosen
-
-
-@pytest.mark.parametrize("frozen, kept", [((), [0, 1, 3, 4, 5]), ((2,), [0, 1, 2, 3, 4, 5])])
-def test_gaussians_in_free_space_are_pruned_unless_they_are_frozen(frozen, kept):
-    free_space = SimpleNamespace(holds=lambda positions: np.arange(len(positions)) == 2)
-    growth = a_round("threshold", frozen=frozen, free_space=free_space)
-    assert growth.source[:growth.kept].tolist() == kept
-    assert (2 in growth.source) == bool(frozen)  # nor does it grow
