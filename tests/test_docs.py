@@ -90,7 +90,7 @@ def test_files_md_names_every_key_of_the_metrics(item_device, tmp_path):
     assert {key for record in run.metrics for key in record} <= said
     table = page("files.md").partition("| event | when |")[2].partition("\n\n")[0]
     for event in re.findall(r"`(\w+)`", " ".join(re.findall(r"(?m)^\|([^|]+)\|", table))):
-        assert re.search(rf'(log\(|"event": )"{event}"', package_text()), event
+        assert re.search(rf'(log\(|"event": |name = )"{event}"', package_text()), event
 
 
 def loaded_hooks():

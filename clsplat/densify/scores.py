@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,6 @@ from clsplat.constants import SPLAT_CONIC, SPLAT_CUTOFF, SPLAT_DEPTH, SPLAT_EXTE
 from clsplat.densify.contribution import contribution
 from clsplat.device import Array, Device
 from clsplat.loss.image_loss import image_loss, loss_value
-from clsplat.loss.term import TrainingSample
 from clsplat.rendering.pipeline import Frame, Renderer
 from clsplat.rendering.project import Rows
 
@@ -23,7 +23,22 @@ COEFFICIENTS = {
     "distance": 50.0, "weighted": 10.0, "pixels": 0.1, "weight": 50.0}
 
 
-def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[TrainingSample],
+class ScoredView(Protocol):
+    """A view that gaussians are scored in.
+
+    Attributes
+    ----------
+    camera : real[27], packed.
+    photo : uchar[3 or 4, H, W].
+    backdrop : as for `Renderer.render`.
+    """
+
+    camera: Array
+    photo: Array
+    backdrop: Array | None
+
+
+def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
                   sh_degree: int, ssim_weight: float, gradient: NDArray[np.floating]
                   ) -> NDArray[np.float64]:
     """The scores of gaussians, summed over views.
@@ -52,7 +67,7 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[TrainingSample
     scores = np.zeros(len(gradient))
     for view in views:
         photo, (_, height, width) = view.photo, view.photo.shape
-        frame = renderer.render(rows, view.camera, width, height, sh_degree, layers=view.layers)
+        frame = renderer.render(rows, view.camera, width, height, sh_degree, layers=view.backdrop)
         loss, visible, of_view = _seen(renderer.device, frame, photo, ssim_weight)
         values = {"gradient": gradient[visible], "opacity": opacity[visible],
                   "volume": volume[visible], **of_view}

@@ -220,13 +220,13 @@ class Device:
             return
         self.kernel_bytes += call.nbytes
         built = self._build(kernel, defines)
+        if self._recording is not None:
+            self._recording.add(kernel.function, built, call.items, call.group, call.arguments,
+                                call.nbytes)
         event = built(self.queue, (call.items,), (call.group,), *call.arguments)
         self.launches += 1
         if self._profile is not None:
             self._profile.append((kernel.function, event))
-        if self._recording is not None:
-            self._recording.add(kernel.function, built, call.items, call.group, call.arguments,
-                                call.nbytes)
 
     @contextmanager
     def record(self, **inputs: Array | float) -> Iterator[Graph]:

@@ -14,22 +14,34 @@ if TYPE_CHECKING:
     from clsplat.device.device import Device
 
 
-class _AsItIs:
-    """Without arithmetic, whose result a replay would not change."""
+class Input:
+    """A number of a recording that each replay may change: it can be passed to kernels, and refuses
+    every other use, as Python would compute once with what a replay changes.
+
+    Attributes
+    ----------
+    name : of the input.
+    number : its value while it is recorded, for the launch.
+    """
+
+    __slots__ = "name", "number"
+
+    def __init__(self, name: str, number: float) -> None:
+        self.name, self.number = name, number
+
+    def __repr__(self) -> str:
+        return f"<input {self.name}>"
 
     def _refuse(self, *_: Any) -> Any:
-        raise TypeError("a replay changes this number: pass it to kernels as it is")
+        raise TypeError(f"a replay changes the number {self.name}: pass it to kernels as it is")
 
-    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __neg__ = _refuse
-    __truediv__ = __rtruediv__ = __floordiv__ = __rfloordiv__ = __pow__ = __rpow__ = _refuse
-
-
-class FloatInput(_AsItIs, float):
-    """A number of a recording that each replay may change."""
-
-
-class IntInput(_AsItIs, int):
-    """As `FloatInput`, for integers."""
+    for _use in ("add", "sub", "mul", "truediv", "floordiv", "mod", "divmod", "pow", "lshift",
+                 "rshift", "and", "xor", "or"):
+        locals()[f"__{_use}__"] = locals()[f"__r{_use}__"] = _refuse
+    for _use in ("neg", "pos", "abs", "invert", "round", "trunc", "floor", "ceil", "float", "int",
+                 "complex", "bool", "index", "eq", "ne", "lt", "le", "gt", "ge", "hash", "iter",
+                 "len", "contains", "getitem", "format", "str", "array"):
+        locals()[f"__{_use}__"] = _refuse
 
 
 class Graph:
@@ -52,11 +64,10 @@ class Graph:
         self.result: Any = None
         self.lasting: list[Array] = []
         self.inputs: dict[str, Any] = {
-            name: value if isinstance(value, Array) else
-            IntInput(value) if isinstance(value, int) else FloatInput(value)
+            name: value if isinstance(value, Array) else Input(name, value)
             for name, value in inputs.items()}
-        self._names = {id(value.buffer if isinstance(value, Array) else value): name
-                       for name, value in self.inputs.items()}
+        self._names = {id(value.buffer): name for name, value in inputs.items()
+                       if isinstance(value, Array)}
         # (list of arguments, index) at which an input stands
         self._places: dict[str, list[tuple[list[Any], int]]] = {name: [] for name in inputs}
         # (function, kernel or None for a fill, items, items a group, arguments, which are kept as
@@ -94,6 +105,8 @@ class Graph:
         changes = False
         for index, argument in enumerate(arguments):
             name = self._names.get(id(argument))
+            if isinstance(argument, Input):
+                name, arguments[index] = argument.name, argument.number
             if name is not None:
                 self._places[name].append((arguments, index))
                 changes = True

@@ -14,11 +14,10 @@ import numpy as np
 from clsplat.densify.statistics import Statistics
 from clsplat.device import ArraySpec, Device
 from clsplat.device.arena import Arena, Block
-from clsplat.estimate.trial_steps import PAIRS_A_SPLAT, sampled, settled, spread_out, trial_plan
+from clsplat.estimate.trial_steps import PAIRS_A_SPLAT, sampled, settled, spread_out
 from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.loss import depth_map, image_loss, reproject
 from clsplat.loss.exposure import Exposures
-from clsplat.loss.term import LossTerm
-from clsplat.loss.terms import terms_of
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.pose import Poses
 from clsplat.partition.surroundings import Sides
@@ -29,13 +28,14 @@ from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import CAMERA
 from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
-from clsplat.training.depth_maps import depth_array
 from clsplat.training.layers import Front, layer_array
 from clsplat.training.model import ENGINES, Model
+from clsplat.training.parts.depth_maps import depth_array
+from clsplat.training.parts.exposures import lenses_of
+from clsplat.training.parts.reprojection import SourceViews
 from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
 from clsplat.training.prepare import PreparedScene
 from clsplat.training.rooms import pairs_room, shared_pairs, visible_room
-from clsplat.training.source_views import SourceViews
 from clsplat.training.units import COUNTS
 
 SAMPLED_VIEWS = 48
@@ -134,8 +134,8 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
     """
     options, views = prepared.options, prepared.train_views
     names = list(gaussians.rows)
-    neighbours = prepared.decisions.neighbours
-    terms, pool = terms_of(device, options), Pool(device.real, ENGINES[options.engine].RECORDS)
+    neighbours = prepared.decisions.parts["reproject"].found
+    pool = Pool(device.real, ENGINES[options.engine].RECORDS)
     photo_budget = DEVICE_SHARE * device.handle.global_mem_size
     total = steps = most_photos = 0
     level, count, resident = None, gaussians.count, True
@@ -168,14 +168,12 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
             count, pool = segment.gaussians, Pool(device.real, ENGINES[options.engine].RECORDS)
         results = dict[tuple[int, int], int]()  # size of an image -> bytes
         for index, size in zip(frames.indices, _sizes(device, prepared, shown, frames, count)):
-            plan = trial_plan(options, level, segment.regularises)
-            used = [term for term in terms if term.weight(plan) and (
-                not term.needs_source or neighbours and neighbours[index])
-                and (shown[index].depth or not term.needs_map)]
-            pool.add(step_arrays(device, prepared, size, used))
+            has_source = bool(segment.regularises and neighbours and neighbours[index])
+            has_map = bool(shown[index].depth and options.depth_weight)
+            pool.add(step_arrays(device, prepared, size, has_source, has_map))
             image = size.width, size.height
-            results[image] = max(results.get(image, 0),
-                                 _bytes(device, result_arrays(device, prepared, used, *image)))
+            results[image] = max(results.get(image, 0), _bytes(device, result_arrays(
+                device, prepared, *image, has_source, has_map)))
         steps = max(steps, others + _bytes(device, model_of(count)) + pool.nbytes
                     + sum(results.values()))
     return Memory(max(total, steps), steps, most_photos, resident,
@@ -226,7 +224,7 @@ def model_arrays(names: Iterable[str], sh_degree: int, count: int,
 def other_arrays(prepared: PreparedScene, count: int) -> list[ArraySpec]:
     """The other persistent arrays with `count` gaussians, without photos."""
     options, views, scene = prepared.options, prepared.train_views, prepared.scene
-    neighbours = prepared.decisions.neighbours
+    neighbours = prepared.decisions.parts["reproject"].found
     rows = Model.arrays([field.name for field in LEARNED], options.sh_degree, count)
     return [*Statistics.arrays(count).values(), *Renderer.ARRAYS, *len(views) * [CAMERA], COUNTS,
             *(BatchMean.arrays(rows).values() if options.batch > 1 else ()),
@@ -245,35 +243,44 @@ def _exposes(prepared: PreparedScene) -> bool:
 
 def _lenses(prepared: PreparedScene) -> int:
     """Lenses on the device, of which one is a token where nothing is learned of them."""
-    return len(prepared.lenses.rows) if prepared.lenses else 1
+    lenses = lenses_of(prepared.scene, prepared.train_views, prepared.options)
+    return len(lenses.rows) if lenses else 1
 
 
-def result_arrays(device: Device, prepared: PreparedScene, terms: Iterable[LossTerm], width: int,
-                  height: int) -> list[ArraySpec]:
+def result_arrays(device: Device, prepared: PreparedScene, width: int, height: int,
+                  has_source: bool, has_map: bool) -> list[ArraySpec]:
     """What recorded steps keep between two replays, for images of one size in one band."""
     options = prepared.options
     if not ENGINES[options.engine].RECORDS:
         return []
     return options.batch * [
         *steps_of(device, math.prod(tile_grid(device, width, height))),
-        *(spec for term in terms for spec in term.results(width, height))]
+        *_term_results(device, width, height, has_source, has_map)]
+
+
+def _term_results(device: Device, width: int, height: int, has_source: bool, has_map: bool
+                  ) -> list[ArraySpec]:
+    return [*image_loss.result_arrays(device, width, height),
+            *(has_source + has_map) * [ArraySpec((2,))]]
 
 
 def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
-                terms: Iterable[LossTerm]) -> list[FrameArray]:
-    """The short-lived arrays of a step on a view, with these terms of the loss.
+                has_source: bool, has_map: bool) -> list[FrameArray]:
+    """The short-lived arrays of a step on a view.
 
     Parameters
     ----------
-    device, prepared, terms : of the training.
+    device, prepared : the device and the scene of the training.
+    has_source, has_map : whether the view is compared with a source view and with a depth map.
     size : of the frame; where steps are recorded, the sizes of its Room (rooms.py).
     """
-    options, terms = prepared.options, list(terms)
+    options = prepared.options
     exposes, count, seen = _exposes(prepared), size.gaussians, size.splats
     degree, image = options.sh_degree, (size.width, size.height)
-    arrays = frame_arrays(device, size, degree, any(term.needs_depth for term in terms))
-    for term in terms:
-        arrays += term.arrays(*image, "exposure" if exposes else "project adjoint")
+    arrays = frame_arrays(device, size, degree, has_source or has_map)
+    arrays += image_loss.frame_arrays(device, *image, "exposure" if exposes else "project adjoint")
+    arrays += reproject.frame_arrays(*image) if has_source else []
+    arrays += depth_map.frame_arrays(*image) if has_map else []
     if exposes:
         arrays += Exposures.frame_arrays(*image, options.vignetting == "on")
     if options.poses == "on":
@@ -282,7 +289,7 @@ def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
         arrays = [array._replace(shape=(count,)) if array.name == "visible" else array
                   for array in arrays]  # without a Room: one slot a gaussian
         arrays += [FrameArray("result", *spec, "loss", "adam")
-                   for term in terms for spec in term.results(*image)]
+                   for spec in _term_results(device, *image, has_source, has_map)]
     if options.batch > 1:
         rows = Model.arrays([field.name for field in LEARNED], degree, count)
         arrays += BatchMean.frame_arrays(count, seen, rows)

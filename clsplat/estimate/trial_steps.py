@@ -14,6 +14,7 @@ from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene, View
 from clsplat.schedule import Plan
 from clsplat.training.layers import Layers
+from clsplat.training.parts.backdrop import Backdrop
 from clsplat.training.photos import Photos, at_level, decode
 from clsplat.training.prepare import PreparedScene
 from clsplat.training.session import Session
@@ -41,7 +42,7 @@ class TrialSteps:
         A batch consists of this view only.
         """
         session, plan = self.session, replace(self.plan, regularises=float(regularises))
-        samples = session.options.batch * [session.sample(index, 1, plan)]
+        samples = session.options.batch * [session.sample(index, 1)]
 
         def take() -> object:
             session.iteration += 1
@@ -109,10 +110,10 @@ class SizedLayers(Layers):
 def trial_session(prepared: PreparedScene, device: Device, gaussians: Gaussians,
                   level: float) -> Session:
     """A session at a level, with photos of the right sizes."""
-    layers = (SizedLayers(device, prepared.train_views, level)
-              if prepared.scene.surroundings else None)
-    return Session(prepared, device, gaussians,
-                   photos=SizedPhotos(device, prepared.train_views, level), layers=layers)
+    backdrop = ([Backdrop(SizedLayers(device, prepared.train_views, level))]
+                if prepared.scene.surroundings else [])
+    return Session(prepared, device, gaussians, parts=backdrop,
+                   photos=SizedPhotos(device, prepared.train_views, level))
 
 
 def sampled(scene: Scene, count: int, sh_degree: int, seed: int = 0) -> Gaussians:

@@ -2,13 +2,9 @@
 
 from typing import Any
 
-import numpy as np
-
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, groups, items
-from clsplat.loss.term import FrameGradient, LossTerm, TrainingSample
 from clsplat.primitives.reduce import sum_columns
 from clsplat.rendering.frame_arrays import FrameArray
-from clsplat.rendering.pipeline import Frame
 
 HAS_MAPS = Forms(item=False, group=True)  # whether the gradient has a kernel of its own
 STRIP_ROWS = 256  # image rows of a work-item of the item form, which reads 20 more
@@ -70,32 +66,20 @@ def loss_value(partials: Array, values: int, ssim_weight: float) -> tuple[float,
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim
 
 
-class ImageLoss(LossTerm):
-    """The difference between the image and its photo, which every training minimises."""
+def frame_arrays(device: Device, width: int, height: int, last: str) -> list[FrameArray]:
+    """What `image_loss` allocates for an image of this size, for the forecast of memory.
 
-    name = "image"
+    Parameters
+    ----------
+    device : the device of the image.
+    width, height : size of the image, pixels.
+    last : the last stage that reads the gradient.
+    """
+    maps = [FrameArray("maps", (3, 3, height, width), None, "loss", "loss")]
+    return [*maps * HAS_MAPS.of(device),
+            FrameArray("grad_image", (3, height, width), None, "loss", last)]
 
-    def add_to(self, grad: FrameGradient, frame: Frame, image: Array, sample: TrainingSample,
-               weight: float) -> tuple[Array, int]:
-        """As `LossTerm.add_to`; returns what `loss_value` needs."""
-        partials, grad_image = image_loss(self.device, image, sample.photo,
-                                          self.options.ssim_weight)
-        grad.add(image=grad_image)
-        _, height, width = image.shape
-        return partials, 3 * height * width
 
-    def arrays(self, width: int, height: int, last: str) -> list[FrameArray]:
-        """As `LossTerm.arrays`."""
-        maps = [FrameArray("maps", (3, 3, height, width), None, "loss", "loss")]
-        return [*maps * HAS_MAPS.of(self.device),
-                FrameArray("grad_image", (3, height, width), None, "loss", last)]
-
-    def results(self, width: int, height: int) -> list[ArraySpec]:
-        """As `LossTerm.results`."""
-        return [ArraySpec((VALUE.units(self.device, W=width, H=height, strip=STRIP_ROWS), 2))]
-
-    def values(self, measured: list[tuple[Array, int]]) -> dict[str, float]:
-        """The loss, mean |x - y| and mean SSIM, each a mean over the views."""
-        by_view = [loss_value(partials, count, self.options.ssim_weight)
-                   for partials, count in measured]
-        return dict(zip(("loss", "l1", "ssim"), np.mean(by_view, axis=0).tolist()))
+def result_arrays(device: Device, width: int, height: int) -> list[ArraySpec]:
+    """The arrays of `Device.result` that `image_loss` allocates for an image of this size."""
+    return [ArraySpec((VALUE.units(device, W=width, H=height, strip=STRIP_ROWS), 2))]

@@ -8,23 +8,16 @@ the two colours pulls depths to where the photos agree (SIG, "Densification Regu
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.constants import GEOMETRY_REALS, TRANSFORM_REALS
-from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups, items
+from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
 from clsplat.loss.image_loss import is_masked
-from clsplat.loss.term import FrameGradient, LossTerm, TrainingSample
 from clsplat.primitives.reduce import sum_columns
 from clsplat.rendering.frame_arrays import FrameArray
-from clsplat.rendering.pipeline import Frame
-from clsplat.schedule import Plan
-
-if TYPE_CHECKING:
-    from clsplat.options import TrainOptions
 
 _GRADS = dict(grad_depth=("real", "H", "W"), grad_transmittance=("real", "H", "W"))
 REPROJECT = Kernel(
@@ -108,38 +101,8 @@ def reproject(device: Device, depth: Array, transmittance: Array, photo: Array, 
     return sums, grads["grad_depth"], grads["grad_transmittance"]
 
 
-class Reprojection(LossTerm):
-    """The difference between a view and a source view through the rendered depth, while the
-    schedule gives it a weight."""
-
-    name = "reprojection"
-    needs_depth = needs_source = True
-
-    @classmethod
-    def is_used(cls, options: TrainOptions) -> bool:
-        """Whether views are compared with source views at all."""
-        return options.reproject == "on"
-
-    def weight(self, plan: Plan) -> float:
-        """The weight that the schedule gives it."""
-        return plan.regularises
-
-    def add_to(self, grad: FrameGradient, frame: Frame, image: Array, sample: TrainingSample,
-               weight: float) -> Array:
-        """As `LossTerm.add_to`; returns the sums of `reproject`."""
-        assert sample.source is not None  # `needs_source`
-        blended = frame.blended
-        sums, grad_depth, grad_transmittance = reproject(
-            self.device, blended.depth, blended.transmittance, sample.photo, *sample.source, weight)
-        grad.add(depth=grad_depth, transmittance=grad_transmittance)
-        return sums
-
-    def arrays(self, width: int, height: int, last: str) -> list[FrameArray]:
-        """As `LossTerm.arrays`."""
-        return [FrameArray("partials", (height, 2), None, "reproject", "reproject"),
-                *(FrameArray(name, (height, width), None, "reproject", "project adjoint")
-                  for name in ("grad_depth", "grad_transmittance"))]
-
-    def results(self, width: int, height: int) -> list[ArraySpec]:
-        """As `LossTerm.results`: the sums."""
-        return [ArraySpec((2,))]
+def frame_arrays(width: int, height: int) -> list[FrameArray]:
+    """What `reproject` allocates for an image of this size, for the forecast of memory."""
+    return [FrameArray("partials", (height, 2), None, "reproject", "reproject"),
+            *(FrameArray(name, (height, width), None, "reproject", "project adjoint")
+              for name in ("grad_depth", "grad_transmittance"))]

@@ -12,12 +12,10 @@ from clsplat.gaussians import FIELDS, LEARNED, Field, Gaussians
 from clsplat.io.reason import reason
 from clsplat.io.runs.run import CHECKPOINT, OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
-from clsplat.optimise.pose import LEARNED as POSES
 from clsplat.options import checked
 from clsplat.training.clock import Clock
 from clsplat.training.deadline import Deadline
 from clsplat.training.recorder import broken
-from clsplat.training.robust import packed, unpacked
 from clsplat.training.session import Session
 
 Arrays = dict[str, NDArray[Any]]
@@ -48,22 +46,13 @@ class Checkpoint:
         """
         session, step = self.session, self.session.step
         m, v = step.model.adam.download()
-        parts = {"row": step.model.download(stored=True).rows, "m": m, "v": v,
+        kinds = {"row": step.model.download(stored=True).rows, "m": m, "v": v,
                  "adam": step.model.adam.lag(), "statistics": {
             "grad_norm_sum": step.statistics.grad_norm_sum.download(),
             "seen_count": step.statistics.seen_count.download()}}
-        if step.frozen is not None:
-            parts["statistics"]["frozen"] = step.frozen.download()
-        if step.exposures:
-            parts["exposure"] = step.exposures.download()
-        if session.options.robust == "on":
-            parts["robust"] = {"disturbed_at": np.array(session.disturbed_at)}
-            if session.photos.ignored is not None:
-                parts["robust"]["cells"] = packed(session.photos.ignored)
-        if step.poses:
-            parts["pose"] = step.poses.download()
-        arrays = {f"{kind}.{name}": values for kind, fields in parts.items()
-                  for name, values in fields.items()}
+        arrays = {f"{kind}.{name}": values for kind, fields in (
+            *kinds.items(), *((part.name, part.state()) for part in session.parts))
+            for name, values in fields.items()}
         self._check(arrays)
         state = {
             "fingerprint": self.fingerprint, "iteration": session.iteration,
@@ -98,21 +87,12 @@ class Checkpoint:
                                  state["iteration"])
         step.statistics.grad_norm_sum.write(arrays["statistics.grad_norm_sum"])
         step.statistics.seen_count.write(arrays["statistics.seen_count"])
-        if step.frozen is not None:
-            step.frozen.write(arrays["statistics.frozen"])
-        if step.exposures:
-            step.exposures.upload({name.partition(".")[2]: values
-                                   for name, values in arrays.items()
-                                   if name.startswith("exposure.")})
-            if session.source_views:
-                session.source_views.compare_colours()
-        if session.options.robust == "on":
-            session.disturbed_at = int(arrays["robust.disturbed_at"])
-        if "robust.cells" in arrays:
-            session.photos.ignore(unpacked(arrays["robust.cells"], [
-                (view.camera.height, view.camera.width) for view in session.photos.views]))
-        if step.poses:
-            step.poses.upload({name: arrays[f"pose.{name}"] for name in POSES})
+        for part in session.parts:
+            try:
+                part.load({name.partition(".")[2]: values for name, values in arrays.items()
+                           if name.startswith(f"{part.name}.")}, session)
+            except KeyError as error:
+                raise KeyError(f"{part.name}.{error.args[0]}") from None
         step.skipped.load(state["skipped"])
         step.pixel_pairs, session.iteration = state["pixel_pairs"], state["iteration"]
         self.clock.load(state)

@@ -174,7 +174,7 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
         if written:
             written.result()
     trains = trainable(scene, new["row.positions"], new[SCALES])
-    return {**arrays, **new, "statistics.frozen": (~trains).astype(np.uint32),
+    return {**arrays, **new, "frozen.rows": (~trains).astype(np.uint32),
             "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
 
 

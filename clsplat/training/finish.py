@@ -9,9 +9,7 @@ from clsplat.io.georeference.files import placement_comments
 from clsplat.io.models.ply import START, start_comment
 from clsplat.io.models.values import mode_comment
 from clsplat.io.reason import reason
-from clsplat.io.runs.poses import write_poses
 from clsplat.io.runs.run import RunFolder
-from clsplat.placement.corrections import Correction
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
 from clsplat.training.frequency import VARIANTS, scene_frequency
@@ -20,12 +18,10 @@ from clsplat.training.session import Session
 
 
 def save_model(run: RunFolder, session: Session) -> None:
-    """Write the finished model, the responses of its photos and the corrections of their poses."""
-    if responses := session.responses():
-        run.save_exposures(responses)
-    if session.step.poses:
-        write_poses(run.path, {name: Correction(each.turn, each.shift * session.scene.unit)
-                               for name, each in session.corrections().items()})
+    """Write the finished model, and what its parts have learned."""
+    session.step.settle()
+    for part in session.parts:
+        part.write(run, session)
     gaussians = session.model.download().scaled(session.scene.unit)
     run.save_model(gaussians, session.scene.offset, _comments(run, session),
                    session.options.sphere_columns)
@@ -66,8 +62,8 @@ def draw_report(run: RunFolder, session: Session, scene: Scene,
     try:
         write_report(run, pictures=pictures_of(
             session.renderer, session.model.current_rows(), session.options.sh_degree,
-            session.test_views, session.corrected_views(), per_view, session.predicted()),
-            scene=scene)
+            session.test_views, session.corrected(session.train_views), per_view,
+            session.predicted()), scene=scene)
     except ClsplatError:
         raise
     except Exception as error:  # noqa: BLE001  (fonts, locales, matplotlib settings)

@@ -13,13 +13,13 @@ from clsplat.densify.relocate import plan_relocation
 from clsplat.densify.scores import taming_scores
 from clsplat.densify.select import above_threshold, by_score, half_of, highest
 from clsplat.gaussians import FIELDS
-from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Rows
 from clsplat.schedule import Plan, Schedule
+from clsplat.training.part import ViewPass
 
-ScoringViews = Callable[[], list[TrainingSample]]
+ScoringViews = Callable[[], list[ViewPass]]
 
 
 @dataclass(frozen=True, eq=False)

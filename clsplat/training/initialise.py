@@ -1,7 +1,6 @@
 """The initial gaussians and responses of a training."""
 
 import os
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +13,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.models.formats import count_of, is_model, read_model
 from clsplat.io.models.quantise import morton_order
 from clsplat.options import TrainOptions
-from clsplat.response import Response
-from clsplat.scene import Scene, View
+from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of
 
 POINTS = ("sfm", "dense", "random")  # at which training begins where --init names no file
@@ -92,13 +90,3 @@ def surrounding_gaussians(scene: Scene, options: TrainOptions) -> Gaussians | No
         return None
     gaussians = read_model(scene.surroundings, scene.offset).scaled(1 / scene.unit)
     return gaussians.with_sh_degree(options.sh_degree).without_spheres()
-
-
-def initial_responses(scene: Scene, views: Iterable[View]) -> list[Response] | None:
-    """The responses of a block's views, from the coarse run; None without them.
-
-    A view that has none gets the identity.
-    """
-    if not scene.exposures:
-        return None
-    return [scene.exposures.get(view.name, Response()) for view in views]

@@ -24,7 +24,6 @@ from clsplat.io.photos.undistort import undistorted
 from clsplat.io.records import digest_of
 from clsplat.io.runs.run import PART_OF_CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint
-from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
 from clsplat.schedule import Plan
@@ -36,6 +35,7 @@ from clsplat.training.evaluator import Evaluator
 from clsplat.training.finish import draw_report, save_model, save_snapshot
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
+from clsplat.training.part import Part, TrainingSample
 from clsplat.training.photos import THREADS, epoch_order, size_note
 from clsplat.training.progress import WARNING, SilentProgress, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Recorder, broken
@@ -51,7 +51,8 @@ OnSave = Callable[[Saved], object]
 
 def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
           progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
-          watcher: Watcher | None = None, on_save: OnSave | None = None) -> None:
+          watcher: Watcher | None = None, on_save: OnSave | None = None,
+          parts: Iterable[Part] = ()) -> None:
     """Train a scene from the start.
 
     Parameters
@@ -64,13 +65,15 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     callbacks : called with every record; may raise StopTraining.
     watcher : asked after every step.
     on_save : called with every checkpoint that was written.
+    parts : parts besides those that the options ask for; one with the name of another takes its
+        place.
 
     Raises
     ------
     Interrupted : on Ctrl-C, or where an option or a callback stops it; the state is saved.
     """
     training = Training(scene, options, device, run, progress, callbacks=callbacks,
-                        watcher=watcher, on_save=on_save)
+                        watcher=watcher, on_save=on_save, parts=parts)
     session = training.session
     with training.resumable():
         warnings = find_warnings(session.scene, session.train_views,
@@ -94,12 +97,12 @@ def run_record(scene: Scene, options: TrainOptions, device: Device) -> dict[str,
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
            progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
            watcher: Watcher | None = None, on_save: OnSave | None = None,
-           saved: Saved | None = None) -> None:
+           saved: Saved | None = None, parts: Iterable[Part] = ()) -> None:
     """Resume a run from its checkpoint, as if it had never stopped.
 
     Parameters
     ----------
-    scene, options, device, run, progress, callbacks, watcher, on_save : as for `train`.
+    scene, options, device, run, progress, callbacks, watcher, on_save, parts : as for `train`.
     saved : from which it goes on in place of the run's checkpoint, which is of the same step; its
         arrays are dropped once they are on the device.
     """
@@ -112,7 +115,7 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         (progress.message if progress else logging.getLogger(__name__).warning)(
             f"{run.path}: has no checkpoint, so the training begins again at step 1")
         run.rewind(-1)
-        train(scene, options, device, run, progress, callbacks, watcher, on_save)
+        train(scene, options, device, run, progress, callbacks, watcher, on_save, parts)
         return
     arrays, state = saved or run.load_checkpoint()
     if state.get("fingerprint") != record["fingerprint"]:
@@ -121,7 +124,7 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     gaussians = saved_gaussians(run, {"sh_degree": options.sh_degree, **record}, arrays, state)
     try:
         training = Training(scene, options, device, run, progress, gaussians, callbacks,
-                            watcher, state["level"], on_save)
+                            watcher, state["level"], on_save, parts)
         training.checkpoint.load(arrays, state)
         arrays.clear()
         del gaussians
@@ -142,7 +145,7 @@ class Training:
 
     Parameters
     ----------
-    scene, options, device, run, progress, callbacks, watcher, on_save : as for `train`.
+    scene, options, device, run, progress, callbacks, watcher, on_save, parts : as for `train`.
     gaussians : those of a resumed run; None: the initial ones.
     level : that of a resumed run; 0: the first one.
 
@@ -157,7 +160,8 @@ class Training:
     def __init__(self, scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                  progress: SilentProgress | None = None, gaussians: Gaussians | None = None,
                  callbacks: Iterable[Callback] = (), watcher: Watcher | None = None,
-                 level: float = 0.0, on_save: OnSave | None = None) -> None:
+                 level: float = 0.0, on_save: OnSave | None = None, parts: Iterable[Part] = ()
+                 ) -> None:
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.recorded = gaussians is not None
         self.run, self.watcher, self._on_save = run, watcher, on_save
@@ -169,14 +173,18 @@ class Training:
             progress.phase("undistorting photos")
             scene = undistorted(with_depths(scene, options.depth), run.undistorted, THREADS)
         self._scene, self.clock = scene, Clock(device)
-        self.session = Session.build(scene, options, device, progress, gaussians, run.path, level)
+        self.session = Session.build(scene, options, device, progress, gaussians, run.path, level,
+                                     parts)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
         self.deadline = (Deadline(self.session, self.clock, self.evaluator.final_metrics)
                          if options.time_budget else None)
         self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline,
                                      fingerprint(scene))
-        self._visits = np.array([view.visits for view in self.session.train_views])
+        self._visits = np.ones(len(self.session.train_views))
+        for part in self.session.parts:
+            if (visits := part.visits(self.session.train_views)) is not None:
+                self._visits = self._visits * visits
         self._epoch = -1, np.zeros(0, np.int64)  # the latest one, and the order of its views
         self._measured: list[Measured] = []  # by the latest step
         progress.phase("compiling kernels")  # of the first step
@@ -277,8 +285,8 @@ class Training:
         if session.options.snapshots and plan.level != session.level:
             with self.clock.paused():
                 save_snapshot(self.run, session)
-        if session.looks_for_outliers(plan):
-            self.recorder.log("robust", **session.ignore_outliers(plan.degree))
+        for event, values in session.before_step(plan):
+            self.recorder.log(event, **values)
         if session.use_level(plan.level) and deadline:
             deadline.note_change()
         batch = session.options.batch
@@ -286,15 +294,16 @@ class Training:
             session.recentre()
         self._measured = step.run(iteration, plan, self._samples(plan))
         self.progress.phase(training_at(plan.level))
-        event = step.densify(iteration, plan, session.schedule, session.scoring_views)
+        grown = step.densify(iteration, plan, session.schedule, session.scoring_views)
         session.iteration = iteration
         if not step.count:
             raise broken(self.run, f"all gaussians were pruned after step {iteration}",
                          "lower prune_opacity, or allow larger prune_size or sphere_reach")
-        if event:
-            self.recorder.log("grow", **event)
+        if grown:
+            self.recorder.log("grow", **grown)
         if plan.resets_opacity:
-            session.disturbed_at = iteration
+            for part in session.parts:
+                part.opacities_reset(session)
             self.recorder.log("reset")
         frequency, decision = self._observe()
         if deadline:
@@ -316,7 +325,7 @@ class Training:
         """Index of the number-th view (from 1) that is trained on.
 
         Epochs are shuffled and contain each view once, or in blocks of a city more or less often
-        (`View.visits`); a step takes the next options.batch views.
+        (`Part.visits`); a step takes the next options.batch views.
         """
         visits = self._visits
         epoch, place = divmod(number - 1, len(visits))
@@ -328,7 +337,7 @@ class Training:
         """The samples of the next step; begins to read the photo that follows each."""
         taken = self.session.iteration * self.session.options.batch
         for number in range(taken + 1, taken + 1 + self.session.options.batch):
-            sample = self.session.sample(self.view_of(number), number, plan)
+            sample = self.session.sample(self.view_of(number), number)
             if not self.session.photos.resident:
                 self.session.expect(self.view_of(number + 1), number + 1, plan)
             yield sample

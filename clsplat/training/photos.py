@@ -17,8 +17,8 @@ from clsplat.io.photos.resample import BAND_BYTES
 from clsplat.io.photos.views import photo_bands, read_valid
 from clsplat.options import TrainOptions
 from clsplat.scene import View
+from clsplat.training.parts.outlier_masks import Cells, resampled, spread
 from clsplat.training.photo_store import MEMORY_BYTES, PhotoStore
-from clsplat.training.robust import Cells, resampled, spread
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
 HOST_BYTES = 640 << 20  # of the photos that are decoded at the same time

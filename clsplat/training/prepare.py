@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-
-import numpy as np
-from numpy.typing import NDArray
 
 from clsplat.device import Device
 from clsplat.errors import InputError
@@ -15,11 +11,10 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.photos.depth import with_depths
 from clsplat.options import TrainOptions
 from clsplat.partition.blocks import trainable
-from clsplat.response import Lenses
 from clsplat.scene import Scene, View
 from clsplat.schedule import Schedule, schedule_of
 from clsplat.training.decisions import Decisions, find_decisions
-from clsplat.training.initialise import initial_responses, surrounding_gaussians
+from clsplat.training.initialise import surrounding_gaussians
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,24 +44,10 @@ class PreparedScene:
         """Distance of the near plane, in units of the scene."""
         return self.scene.near(self.options.near)
 
-    @property
-    def trains(self) -> Callable[..., NDArray[np.bool_]] | None:
-        """Tells which gaussians a block of a city trains (`step.Step`); None: all."""
-        return functools.partial(trainable, self.scene) if self.scene.region else None
-
     @functools.cached_property
     def surroundings(self) -> Gaussians | None:
         """What a block draws as layers, in the scene's frame; None: nothing."""
         return surrounding_gaussians(self.scene, self.options)
-
-    @property
-    def lenses(self) -> Lenses | None:
-        """The lenses of the training views; None where nothing is learned of them."""
-        if self.options.vignetting != "on":
-            return None
-        cameras = [view.camera for view in self.train_views]
-        known = initial_responses(self.scene, self.train_views)
-        return Lenses.of_responses(known) if known else Lenses.of_cameras(cameras)
 
     def schedule(self, gaussians: Gaussians, options: TrainOptions | None = None) -> Schedule:
         """A new schedule.
@@ -76,9 +57,9 @@ class PreparedScene:
         gaussians : the initial ones.
         options : instead of `self.options`.
         """
-        trains, options = self.trains, options or self.options
-        count = (int(trains(gaussians.positions, gaussians.log_scales).sum()) if trains
-                 else gaussians.count)
+        options = options or self.options
+        count = (int(trainable(self.scene, gaussians.positions, gaussians.log_scales).sum())
+                 if self.scene.region else gaussians.count)
         return schedule_of(options.schedule)(options, replace(self.decisions.facts, count=count))
 
 
@@ -91,9 +72,6 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -
     options : as the user gave them.
     device : of the training.
     """
-    if options.poses == "on" and scene.region:
-        raise InputError(f"{scene.name}: is a block of a city, whose blocks would correct the same "
-                         "poses differently; leave --poses out")
     scene = with_depths(scene, options.depth)
     scene = scene.reduced(options.downscale, options.max_resolution).normalised()
     if len(scene.views) < 2:

@@ -9,8 +9,8 @@ import numpy as np
 
 from clsplat.gaussians import LEARNED
 from clsplat.loss.image_loss import image_loss, loss_value
-from clsplat.loss.term import TrainingSample
 from clsplat.rendering.project import Rows
+from clsplat.training.part import ViewPass
 from clsplat.training.step import Step
 
 
@@ -28,7 +28,7 @@ class Rollback:
         model.catch_up()
         self._gaussians, self._moments = model.download(), model.adam.download()
 
-    def restore_if_better(self, step: Step, samples: Sequence[TrainingSample]) -> bool:
+    def restore_if_better(self, step: Step, samples: Sequence[ViewPass]) -> bool:
         """Restore the copy if its loss is smaller than that of the present model.
 
         Parameters
@@ -49,17 +49,17 @@ class Rollback:
         model.adopt(self._gaussians)
         model.adam.upload(*self._moments)
         step.statistics.clear(model.count)
-        step.freeze()
+        step.rows_changed()
         return True
 
 
-def _loss(step: Step, rows: Rows, samples: Sequence[TrainingSample]) -> float:
+def _loss(step: Step, rows: Rows, samples: Sequence[ViewPass]) -> float:
     """The mean image loss of some views, without colour transforms."""
     losses = []
     for sample in samples:
         photo, (_, height, width) = sample.photo, sample.photo.shape
         frame = step.renderer.render(rows, sample.camera, width, height, step.options.sh_degree,
-                                     layers=sample.layers)
+                                     layers=sample.backdrop)
         partials, _ = image_loss(step.device, frame.exposed, photo, step.options.ssim_weight)
         losses.append(loss_value(partials, 3 * height * width, step.options.ssim_weight)[0])
     return float(np.mean(losses))

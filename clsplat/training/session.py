@@ -5,39 +5,35 @@ A session has no files and no clock; of its progress it reports only what is bei
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
-from clsplat.device import Array, Device
+from clsplat.device import Device
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
 from clsplat.gaussians import Gaussians
-from clsplat.loss.exposure import Exposures
-from clsplat.loss.term import SourceView, TrainingSample
-from clsplat.optimise.pose import Poses
 from clsplat.options import TrainOptions
-from clsplat.placement.corrections import Correction, typical_depth
 from clsplat.rendering.pipeline import Renderer
-from clsplat.response import Response
-from clsplat.scene import Scene, View, corrected_views
+from clsplat.scene import Scene, View
 from clsplat.schedule import Plan, Schedule, laid_over
 from clsplat.schedule.plan import size_at
 from clsplat.training.dense_start import first_gaussians
-from clsplat.training.depth_maps import DepthMapsOnDevice
-from clsplat.training.initialise import initial_responses
-from clsplat.training.layers import Layers
 from clsplat.training.model import Model
+from clsplat.training.part import Part, TrainingSample, ViewPass, overriding
+from clsplat.training.parts import parts_of
+from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.photos import Photos, decoded
 from clsplat.training.prepare import PreparedScene, prepare
 from clsplat.training.progress import SilentProgress
-from clsplat.training.robust import Seen, find_outliers, is_due, share_of
-from clsplat.training.source_views import SourceViews
 from clsplat.training.step import Step
 from clsplat.training.units import MOST_PENDING
 
 FEW_PHOTOS = 3  # of steps that may be repeated, where photos do not stay on the device
 SCORING_VIEWS = 10  # for a schedule that scores gaussians
+AnyPart = TypeVar("AnyPart", bound=Part)
 
 
 class Session:
@@ -45,88 +41,66 @@ class Session:
 
     Parameters
     ----------
-    prepared : the scene.
-    device : of the training.
-    gaussians : the initial ones.
+    prepared : the scene, ready for training.
+    device : where it trains.
+    gaussians : the initial gaussians.
     schedule : decides level and growth; None: the caller does, and gives `photos`.
-    photos : of the training views; None: photos at the levels of the schedule.
-    layers : of a block that has surroundings; None: they are drawn.
+    photos : the photos of the training views; None: photos at the levels of the schedule.
     progress : receives what is being done.
     folder : where photos wait for their use (`Photos`).
-    level : at which training begins; 0: the first one of the schedule.
+    level : the level at which training begins; 0: the first one of the schedule.
+    parts : parts besides those that the options ask for (`parts_of`).
 
     Attributes
     ----------
-    schedule : of the steps; missing where the caller decides.
-    step : takes steps; has the model, the exposures and the statistics.
-    source_views : None if no loss term compares with another view.
-    layers : what a block's views show of its surroundings; None: nothing is drawn as layers.
+    schedule : decides the steps; missing if the caller does.
+    parts : what the training has besides the gaussians, in the order in which a step calls them.
+    step : takes steps; has the model and the statistics.
     level : down-sampling factor of the training images.
     cameras : packed cameras of the training views at that level.
     options : may be replaced between steps (`lay_over`).
     start_seconds : that finding the initial gaussians took.
-    disturbed_at : step of the latest search for outliers, change of level or reset of opacities.
     """
 
     def __init__(self, prepared: PreparedScene, device: Device, gaussians: Gaussians,
                  schedule: Schedule | None = None, photos: Photos | None = None,
-                 progress: SilentProgress | None = None, layers: Layers | None = None,
-                 folder: Path | None = None, level: float = 0.0) -> None:
+                 progress: SilentProgress | None = None, folder: Path | None = None,
+                 level: float = 0.0, parts: Iterable[Part] = ()) -> None:
         self.device, self.progress = device, progress or SilentProgress()
         if schedule is not None:
             self.schedule = schedule
-        self.scene, self.decisions = prepared.scene, prepared.decisions
+        self.prepared, self.scene, self.decisions = prepared, prepared.scene, prepared.decisions
         self.train_views, self.test_views = prepared.train_views, prepared.test_views
         self.options = options = prepared.options
         self.renderer = Renderer(device, options.sh_degree, prepared.near, options.antialiased,
                                  options.background)
         self.photos = photos or Photos(device, self.train_views, self.schedule.levels,
                                        folder=folder, level=level)
-        self.layers = layers
-        if prepared.surroundings and not layers:
-            self.layers = Layers(device, self.scene, prepared.surroundings, prepared.near, options)
-        self._draw_layers()  # before there is a model, as that needs memory
-        model = Model(device, gaussians, options.engine, options.optimizer == "dense")
-        exposures = None
-        if self.layers:  # the step puts them in front where it exposes the image
-            exposures = Exposures(device, len(self.train_views), learns=False)
-        if options.exposure == "on":
-            initial = initial_responses(self.scene, self.train_views)
-            exposures = Exposures(
-                # blocks that learned their own would not agree
-                device, len(self.train_views), learns=initial is None or self.scene.region is None,
-                initial=None if initial is None else np.array([
-                    response.transform for response in initial]),
-                lenses=prepared.lenses)
-        poses = None
-        if options.poses == "on":
-            cameras = [view.camera for view in self.train_views]
-            poses = Poses(device, cameras, typical_depth(cameras, self.scene.points))
-        self.step = Step(self.renderer, model, self.scene.extent, options, exposures, poses,
-                         prepared.trains)
-        neighbours = self.decisions.neighbours
-        self.source_views = (SourceViews(device, neighbours, exposures, options.seed)
-                             if neighbours else None)
-        self.depths = DepthMapsOnDevice(device, self.scene.unit) if options.depth else None
         self.iteration, self.level, self.start_seconds = 0, 0.0, 0.0
+        self.parts = parts_of(prepared, parts)
+        for part in self.parts:
+            part.begin(self)
+        model = Model(device, gaussians, options.engine, options.optimizer == "dense")
+        self.step = Step(self.renderer, model, self.scene.extent, options, self.parts)
         self.use_level(self.photos.level)
 
     @classmethod
     def build(cls, scene: Scene, options: TrainOptions, device: Device,
               progress: SilentProgress | None = None,
               gaussians: Gaussians | None = None, folder: Path | None = None,
-              level: float = 0.0) -> Session:
+              level: float = 0.0, parts: Iterable[Part] = ()) -> Session:
         """Build a session, and read all photos, held-out ones too.
 
         Parameters
         ----------
-        scene : as it was read.
-        options : as the user gave them.
-        device : of the training.
+        scene : the scene as it was read.
+        options : the options as the user gave them.
+        device : where it trains.
         progress : receives what is being done.
-        gaussians : those of a resumed run; None: the initial ones.
+        gaussians : the gaussians of a resumed run; None: the initial ones.
         folder : where photos wait for their use (`Photos`).
-        level : of a resumed run; 0: the first one.
+        level : the level of a resumed run; 0: the first one.
+        parts : as for the class.
 
         Raises
         ------
@@ -142,7 +116,7 @@ class Session:
         for _ in decoded(prepared.test_views):
             pass  # a damaged photo would stop the run at its evaluation
         session = cls(prepared, device, gaussians, schedule, progress=progress, folder=folder,
-                      level=level)
+                      level=level, parts=parts)
         session.start_seconds = seconds
         return session
 
@@ -151,6 +125,10 @@ class Session:
         """The gaussians, after all steps that were taken; waits for these."""
         return self.step.model
 
+    def part(self, kind: type[AnyPart]) -> AnyPart | None:
+        """The part of a kind; None: there is none."""
+        return next((part for part in self.parts if isinstance(part, kind)), None)
+
     def use_level(self, level: float) -> bool:
         """Train on images `level` times smaller from now on; returns whether that is a change."""
         if level == self.level:
@@ -158,145 +136,81 @@ class Session:
         self.level = level
         self.progress.phase(f"reading photos at {size_at(level)}")
         self.photos.use(level)
-        self._draw_layers()
-        cameras = [view.camera for view in self.photos.views]
-        if self.source_views:
-            self.source_views.use(cameras)
-        if self.depths:
-            self.depths.use(self.photos.views)
-        self.cameras = [self.renderer.pack(camera) for camera in cameras]
+        for part in self.parts:
+            part.begin_level(self)
+        self.cameras = [self.renderer.pack(view.camera) for view in self.photos.views]
         self.step.begin_level()
-        self.disturbed_at = self.iteration
         # pending steps hold their photos, which elsewhere come and go
-        stays = self.photos.resident and (not self.layers or self.layers.resident)
+        stays = self.photos.resident and all(part.resident for part in self.parts)
         self.step.units.most_pending = MOST_PENDING if stays else 1 + FEW_PHOTOS
         return True
 
-    def _draw_layers(self) -> None:
-        """Draw the layers of the photos' level, if there are any."""
-        if self.layers:
-            size = size_at(self.photos.level)
-            self.progress.phase(f"drawing what surrounds the block at {size}")
-            self.layers.use(self.photos.level, self.photos.views, self.photos.spare_bytes)
-
-    def sample(self, view: int, number: int, plan: Plan) -> TrainingSample:
+    def sample(self, view: int, number: int) -> TrainingSample:
         """The training sample of a view.
 
         Parameters
         ----------
         view : index of the training view.
         number : how many views have been trained on, with this one.
-        plan : of the step.
         """
-        pair, source = self._pair(view, number, plan), None
-        if pair:
-            row, other = pair
-            assert self.source_views is not None  # it has drawn the pair
-            source = SourceView(self.photos[other], self.source_views.geometries,
-                                self.source_views.colours, row)
-        return TrainingSample(view, self.cameras[view], self.photos[view], source,
-                              self.depths[view] if self.depths else None,
-                              self.train_views[view].may_have_mask,
-                              self.layers[view] if self.layers else None)
+        return TrainingSample(view, self.cameras[view], self.photos[view],
+                              self.train_views[view].may_have_mask, number)
 
     def expect(self, view: int, number: int, plan: Plan) -> None:
-        """Begin to read the photos that `sample` will need; same arguments."""
+        """Begin to read the photos that a step on a view will need; arguments as for `sample`."""
         self.photos.expect(view)
-        pair = self._pair(view, number, plan)
-        if pair:
-            self.photos.expect(pair[1])
-
-    def _pair(self, view: int, number: int, plan: Plan) -> tuple[int, int] | None:
-        """(row of a pair, source view) if a term of the loss needs one."""
-        if self.source_views and any(term.needs_source for term in self.step.terms_in(plan)):
-            return self.source_views.drawn(number, view)
-        return None
+        for part in self.parts:
+            for other in part.read_ahead(plan, view, number):
+                self.photos.expect(other)
 
     def predicted(self) -> Predicted | None:
         """The responses of all views, for an evaluation; None without exposures."""
-        return predicted_responses(self.scene.views, self.responses())
+        self.step.settle()
+        responses = self.part(PhotoResponses)
+        return predicted_responses(self.scene.views, responses.responses(self)
+                                   if responses else None)
 
-    def responses(self) -> dict[str, Response]:
-        """The learned responses of the training views by name; empty without exposures."""
-        if self.options.exposure != "on":
-            return {}
-        exposures = self.step.exposures
-        assert exposures is not None  # the option is on
-        return {view.name: response
-                for view, response in zip(self.train_views, exposures.responses())}
-
-    def corrections(self) -> dict[str, Correction]:
-        """The corrections of the poses of training views by name, in units of the scene; empty
-        where poses are not corrected."""
-        if not self.step.poses:
-            return {}
-        return {view.name: correction for view, correction in zip(
-            self.train_views, self.step.poses.corrections())}
-
-    def corrected_views(self) -> tuple[View, ...]:
-        """The training views with the corrected poses."""
-        return corrected_views(self.train_views, self.corrections())
+    def corrected(self, views: Iterable[View]) -> tuple[View, ...]:
+        """The training views, at any size, with what the parts learned of their cameras."""
+        self.step.settle()
+        found: Sequence[View] = tuple(views)
+        for part in self.parts:
+            found = part.corrected(found)
+        return tuple(found)
 
     def recentre(self) -> None:
-        """Restore the initial mean of the exposures and of the poses; called once an epoch."""
-        if self.step.poses:
-            self.step.poses.recentre()
-        if self.step.exposures:
-            self.step.exposures.recentre()
-            if self.source_views:
-                self.source_views.compare_colours()
+        """Let the parts recentre what they have learned; called once an epoch."""
+        if parts := overriding(self.parts, "recentre"):
+            self.step.settle()
+            for part in parts:
+                part.recentre()
 
-    def scoring_views(self) -> list[TrainingSample]:
+    def before_step(self, plan: Plan) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Do what the parts do before a step with this plan; yields (event, values) of records."""
+        for part in overriding(self.parts, "before_step"):
+            if record := part.before_step(self, plan):
+                yield part.name, record
+
+    def scoring_views(self) -> list[ViewPass]:
         """Random training views, others at each step."""
         rng = np.random.default_rng([self.options.seed, 3, self.iteration])
         count = len(self.train_views)
         chosen = rng.choice(count, min(SCORING_VIEWS, count), replace=False)
-        cameras = self.corrected_cameras()
-        return [TrainingSample(i, cameras[i], self.photos[i],
-                               layers=self.layers[i] if self.layers else None)
-                for i in chosen.tolist()]
+        return list(self.shown(chosen.tolist()))
 
-    def corrected_cameras(self) -> list[Array]:
-        """Packed cameras of the training views at this level, with their poses as learned."""
-        if not self.step.poses:
-            return self.cameras
-        return [self.renderer.pack(correction.applied(view.camera)) for correction, view
-                in zip(self.step.poses.corrections(), self.photos.views)]
-
-    def looks_for_outliers(self, plan: Plan) -> bool:
-        """Whether `ignore_outliers` is due before the next step, which has this plan."""
-        options = self.decisions.options
-        return options.robust == "on" and is_due(
-            self.iteration - self.disturbed_at, options.iterations,
-            -(-len(self.train_views) // options.batch), plan.level != self.level)
-
-    def ignore_outliers(self, degree: int) -> dict[str, float]:
-        """Find the pixels of all training photos that are left out from now on; waits.
-
-        Parameters
-        ----------
-        degree : of the spherical harmonics that are used.
-
-        Returns
-        -------
-        For the record: the shares of all pixels, and of those of the photo with most.
-        """
-        self.model.catch_up()
-        self.step.release()  # these frames have other sizes
-        cells = find_outliers(self.renderer, self.model.rows, degree, self.step.exposures,
-                              self._seen)
-        self.device.trim()
-        self.photos.ignore(cells)
-        self.disturbed_at = self.iteration
-        return {"share": round(share_of(cells), 6),
-                "most": round(max(float(each.mean()) for each in cells), 6)}
-
-    def _seen(self) -> Iterator[Seen]:
-        """All training views at this level, with their photos."""
-        for index, camera in enumerate(self.corrected_cameras()):
-            photo = self.photos.unweighed(index)
-            yield Seen(index, camera, photo[:3], photo[3] > 0,
-                       self.layers[index] if self.layers else None)
+    def shown(self, views: Iterable[int]) -> Iterator[ViewPass]:
+        """Training views at this level as a step is about to render them, with what was learned of
+        their cameras and responses."""
+        parts = overriding(self.parts, "respond")
+        now = self.step.now(max(1, self.iteration), self.schedule.plan(max(1, self.iteration)))
+        cameras = [view.camera for view in self.corrected(self.photos.views)]
+        for view in views:
+            sample = replace(self.sample(view, 1), camera=self.renderer.pack(cameras[view]))
+            work = self.step.pass_of(sample, {})
+            for part in parts:
+                if (inputs := part.inputs(now, sample)) is not None:
+                    part.respond(work, inputs)
+            yield work
 
     def lay_over(self, iterations: int) -> None:
         """Fit the whole schedule to a number of steps, or to `Decisions.most_steps`."""

@@ -1,11 +1,12 @@
 """Scores of Taming 3DGS: every term from the reference, and which gaussians and pixels count."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.ndimage import sobel
 
 from clsplat.densify.scores import pixel_weights, taming_scores
-from clsplat.loss.term import TrainingSample
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import depth_order, render, size_of
@@ -25,7 +26,8 @@ def scored(device, name, gradient, photos, rows=None):
     """Scores over one camera's view with each photo, and the downloaded (visible, image)."""
     case = cases.gaussians(name)
     renderer, rows, frame = render(device, case, rows)
-    views = [TrainingSample(0, frame.camera, device.upload(photo)) for photo in photos]
+    views = [SimpleNamespace(camera=frame.camera, photo=device.upload(photo), backdrop=None)
+             for photo in photos]
     scores = taming_scores(renderer, rows, views, case["degree"], SSIM_WEIGHT, gradient)
     return scores, frame.visible.download(), frame.image.download()
 

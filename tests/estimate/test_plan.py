@@ -29,7 +29,6 @@ from clsplat.estimate.trial_steps import (
     SizedPhotos,
     TrialSteps,
     sampled,
-    trial_plan,
     trial_session,
 )
 from clsplat.gaussians import LEARNED, Gaussians
@@ -194,10 +193,8 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
             trial.prepare(index, regularises)()
             camera = session.photos.views[index].camera
             size = FrameSize(count, *found[-1], camera.width, camera.height)
-            plan = trial_plan(prepared.options, level, regularises)
-            terms = session.step.terms_in(plan)
-            pool.add(step_arrays(device, prepared, size, terms))
-        lasting += result_arrays(device, prepared, terms, camera.width, camera.height)
+            pool.add(step_arrays(device, prepared, size, regularises, False))
+        lasting += result_arrays(device, prepared, camera.width, camera.height, regularises, False)
         assert device._persistent.nbytes == sum(spec.nbytes(device.real) for spec in lasting)
         bound = 0.05 if "batch" in options or "engine" in options else 0.03
         kept = device._pool.managed_bytes

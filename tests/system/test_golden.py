@@ -11,7 +11,9 @@ from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule.constant import Constant
 from clsplat.training.model import Model
-from clsplat.training.step import Step, TrainingSample
+from clsplat.training.part import TrainingSample
+from clsplat.training.parts.image_term import ImageTerm
+from clsplat.training.step import Step
 from tests.kernels.chain import precision_of
 from tests.system import golden
 
@@ -40,7 +42,8 @@ def test_kernels_give_them(device):
     options = TrainOptions(iterations=golden.STEPS, sh_every=golden.SH_EVERY,
                            sh_degree=golden.DEGREE, ssim_weight=golden.SSIM_WEIGHT,
                            opacity_rate=golden.RATES["opacity_logits"])
-    step, schedule = Step(renderer, model, golden.EXTENT, options), Constant(options, None)
+    step = Step(renderer, model, golden.EXTENT, options, [ImageTerm(golden.SSIM_WEIGHT)])
+    schedule = Constant(options, None)
     packed = [renderer.pack(Camera(
         c["width"], c["height"], (c["fx"], c["fy"]), (c["cx"], c["cy"]), c["rotation"],
         c["translation"])) for c in cameras]

@@ -25,7 +25,7 @@ from clsplat.schedule import OURS
 from clsplat.schedule.constant import Constant
 from clsplat.training import growth
 from clsplat.training.block import decided_by, options_of_blocks
-from clsplat.training.step import Step
+from clsplat.training.parts.frozen_rows import FrozenRows
 from tests.data.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, trained
 
 SHORT = {"iterations": 61, "densify_until": 61, "test_every": 0}
@@ -112,15 +112,16 @@ def test_surroundings_stay_as_they_are(item_device, city, tmp_path, options):
 def test_after_growth_all_that_the_region_does_not_reach_is_frozen(
         item_device, city, tmp_path, monkeypatch, options):
     """Though only the new gaussians, and those that moved with them, are asked about again."""
-    freeze, shares = Step.freeze, []
+    changed, shares = FrozenRows.rows_changed, []
 
-    def checked(step, *known):
-        freeze(step, *known)
-        rows = [step.model.rows[name].download() for name in ("positions", "log_scales")]
-        assert np.array_equal(step.frozen.download() > 0, ~step.trains(*rows))
-        shares.extend(len(each) / len(rows[0]) for each in known)
+    def checked(part, model, growth):
+        changed(part, model, growth)
+        rows = [model.rows[name].download() for name in ("positions", "log_scales")]
+        assert np.array_equal(model.frozen.download() > 0, ~part.trains(*rows))
+        if growth:
+            shares.append(growth.unchanged / model.count)
 
-    monkeypatch.setattr(Step, "freeze", checked)
+    monkeypatch.setattr(FrozenRows, "rows_changed", checked)
     trained(tmp_path / "run", block_of(city), item_device, **{
         "densify_every": 20, **SHORT, **options})
     assert shares and all(0.5 < share < 1 for share in shares)

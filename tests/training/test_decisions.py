@@ -27,6 +27,7 @@ from clsplat.training.decisions import (
     needed_degree,
 )
 from clsplat.training.facts import smallest_size
+from clsplat.training.parts import exposures, reprojection
 from tests.covisibility.test_source_views import circle
 from tests.data.tiny_training import CITY
 
@@ -50,7 +51,7 @@ def drift(monkeypatch):
         def measure(views, photos, points, colours):
             seen.append((views, photos, points))
             return value
-        monkeypatch.setattr(decisions, "exposure_drift", measure)
+        monkeypatch.setattr(exposures, "exposure_drift", measure)
         monkeypatch.setattr(facts, "colour_disagreement", lambda *_: math.nan)
         return seen
     return set_to
@@ -139,7 +140,7 @@ def test_what_is_asked_for_is_not_measured(city, drift, answer):
                          [(DARKENS, "on"), (0.99 * DARKENS, "off"), (-1, "off")])
 def test_vignetting_is_learned_with_exposures_where_corners_are_darker(city, monkeypatch, measured,
                                                                        answer):
-    monkeypatch.setattr(decisions, "corner_darkening", lambda *_: measured)
+    monkeypatch.setattr(exposures, "corner_darkening", lambda *_: measured)
     result = found(city, exposure="on", vignetting="auto")
     assert result.options.vignetting == answer
     assert result.reasons["vignetting"].startswith(f"{answer}: the corners of 32 photos are ")
@@ -167,8 +168,9 @@ def test_few_small_photos_stand_for_all(city, drift):
 def test_adjacent_photos_are_found(city, drift, asked):
     drift(0.0)
     result = found(city, reproject=asked)
-    assert result.options.reproject == "on" and len(result.neighbours) == len(city.views)
-    assert all(number not in adjacent for number, adjacent in enumerate(result.neighbours))
+    sources = result.parts["reproject"].found
+    assert result.options.reproject == "on" and len(sources) == len(city.views)
+    assert all(number not in adjacent for number, adjacent in enumerate(sources))
     assert result.reasons["reproject"] == "on: 32 of 32 photos have an adjacent one"
 
 
@@ -177,9 +179,9 @@ def test_adjacent_photos_are_found(city, drift, asked):
     {"schedule": "mcmc"}], ids=str)
 def test_adjacent_photos_are_not_looked_for(city, drift, monkeypatch, options):
     drift(0.0)
-    monkeypatch.delattr(decisions, "choose_source_views")
+    monkeypatch.delattr(reprojection, "choose_source_views")
     result = found(city, **options)
-    assert (result.options.reproject, result.neighbours) == ("off", None)
+    assert (result.options.reproject, result.parts["reproject"].found) == ("off", None)
     assert result.reasons["reproject"] == "off: not requested"
 
 
@@ -187,7 +189,7 @@ def test_photos_that_share_nothing(city, drift):
     drift(0.0)
     apart = replace(city, observations=city.observations[:0])
     result = found(apart, reproject="auto")
-    assert (result.options.reproject, result.neighbours) == ("off", None)
+    assert (result.options.reproject, result.parts["reproject"].found) == ("off", None)
     assert result.reasons["reproject"] == "off: no two photos share 20 sparse points"
     with pytest.raises(InputError, match="city: --reproject on needs .* use --reproject auto"):
         found(apart, reproject="on")

@@ -9,13 +9,14 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.images import encode_image
 from clsplat.io.scenes.read import read_scene
-from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Plan
-from clsplat.training import depth_maps
-from clsplat.training.depth_maps import DepthMapsOnDevice, depth_array
 from clsplat.training.model import Model
+from clsplat.training.part import TrainingSample
+from clsplat.training.parts import depth_maps
+from clsplat.training.parts.depth_maps import DepthMaps, depth_array
+from clsplat.training.parts.image_term import ImageTerm
 from clsplat.training.photos import decode
 from clsplat.training.step import Step
 from tests.data.tiny_training import CITY, STILL, model_digest, records, trained
@@ -43,12 +44,13 @@ def test_maps_are_in_units_of_the_scene(item_device, folder, monkeypatch, share)
     valid[:80] = 0
     views = list(scene.views)
     views[2] = type(views[2])(**{**vars(views[2]), "mask": encode_image(valid, "png", 0, "mask")})
-    maps = DepthMapsOnDevice(item_device, scene.unit)
-    maps.use(views)
-    assert maps[1] is None and depth_array(views[1]) is None
-    assert maps[0].shape == depth_array(views[0]).shape == (30, 40)
-    assert np.allclose(maps[0].download(), DEPTH / scene.unit)
-    masked = maps[2].download()
+    maps = DepthMaps()
+    maps.use(item_device, views, scene.unit)
+    assert maps.resident == (share > 0)
+    assert maps.map_of(1) is None and depth_array(views[1]) is None
+    assert maps.map_of(0).shape == depth_array(views[0]).shape == (30, 40)
+    assert np.allclose(maps.map_of(0).download(), DEPTH / scene.unit)
+    masked = maps.map_of(2).download()
     assert not masked[:10].any() and np.allclose(masked[10:], DEPTH / scene.unit)
 
 
@@ -61,12 +63,13 @@ def test_a_step_uses_the_map_of_a_view_that_has_one(device):
     photo, packed = device.upload(decode(scene.views[0])), renderer.pack(camera)
 
     def moved(depth_weight, *depths):
+        maps, values = DepthMaps(depth_weight), []
         step = Step(renderer, Model(device, Gaussians.from_points(
             scene.points, scene.colours, 0), "device", True), scene.extent,
-            TrainOptions(iterations=100, depth="depth", depth_weight=depth_weight))
-        values = [step.values(step.run(number, PLAN, [
-            TrainingSample(0, packed, photo, None, depth)])) for number, depth in enumerate(
-            depths, 1)]
+            TrainOptions(iterations=100), [ImageTerm(), *[maps] * (depth_weight > 0)])
+        for number, depth in enumerate(depths, 1):
+            maps.map_of = lambda view, depth=depth: depth
+            values.append(step.values(step.run(number, PLAN, [TrainingSample(0, packed, photo)])))
         return step.model.download().rows["positions"], values
 
     plain, _ = moved(0.0, known, known, None)

@@ -110,7 +110,7 @@ def test_a_block_goes_on_from_what_others_own(city):
     for name, power in (("m.positions", 1), ("v.positions", 2)):  # gradients by the same lengths
         assert np.allclose(after[name][count:] * (other.unit / scene.unit) ** power,
                            part[name][row], rtol=1e-4), name
-    frozen = after["statistics.frozen"] > 0
+    frozen = after["frozen.rows"] > 0
     trains = trainable(scene, after["row.positions"], after["row.log_scales"])
     assert np.array_equal(frozen, ~trains) and 0 < frozen[count:].sum() < len(row)
     around = read_ply(block.around, scene.offset)

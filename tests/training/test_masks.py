@@ -10,11 +10,12 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import encode_image
 from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
-from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Plan
 from clsplat.training.model import Model
+from clsplat.training.part import TrainingSample
+from clsplat.training.parts.image_term import ImageTerm
 from clsplat.training.step import Step
 from tests import cases
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
@@ -60,7 +61,7 @@ def a_step(device, mask):
     renderer = Renderer(device, 1, case["near"])
     rows = {name: values.astype(np.float32) for name, values in case["rows"].items()}
     step = Step(renderer, Model(device, Gaussians(rows, 1), "device", True), 1.0,
-                TrainOptions(iterations=100))
+                TrainOptions(iterations=100), [ImageTerm()])
     step.run(1, PLAN, [TrainingSample(0, renderer.pack(camera_of(case)), device.upload(photo))])
     return step, rows
 

@@ -6,14 +6,18 @@ import pytest
 from clsplat.densify.grow import Growth
 from clsplat.device import Device
 from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
-from clsplat.loss import image_loss
 from clsplat.loss.exposure import Exposures
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Plan, SceneFacts
 from clsplat.schedule.constant import Constant
 from clsplat.training.model import Model, model_bytes
-from clsplat.training.step import Step, TrainingSample
+from clsplat.training.part import TrainingSample
+from clsplat.training.parts import image_term
+from clsplat.training.parts.exposures import PhotoResponses
+from clsplat.training.parts.frozen_rows import FrozenRows
+from clsplat.training.parts.image_term import ImageTerm
+from clsplat.training.step import Step
 from tests import cases
 from tests.kernels.chain import camera_of, size_of
 
@@ -145,7 +149,7 @@ def test_engines_agree_over_five_steps(double_device, optimizer):
         spheres = gaussians_of(given.count, fields=FIELDS).rows
         given.rows.update({field.name: spheres[field.name] for field in SPHERE})
         model = Model(device, given, engine, optimizer == "dense")
-        step = Step(renderer, model, 1.0, TrainOptions(iterations=100))
+        step = Step(renderer, model, 1.0, TrainOptions(iterations=100), [ImageTerm()])
         for iteration in range(1, 6):
             plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False,
                         prunes_large=False, decay=iteration / 100)
@@ -177,7 +181,10 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
                                     DEGREE), engine, dense=True)
     moments = gaussians_of(count).rows
     model.adam.upload(moments, {name: values**2 for name, values in moments.items()})
-    step = Step(renderer, model, 1.0, TrainOptions(iterations=100), Exposures(device, 1))
+    responses = PhotoResponses()
+    responses.exposures = Exposures(device, 1)
+    responses.skipped = responses.exposures.skipped
+    step = Step(renderer, model, 1.0, TrainOptions(iterations=100), [responses, ImageTerm()])
     plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
                 decay=0.5)
 
@@ -192,10 +199,10 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
         found.append(adjoint(*arguments))
         return found[0]
 
-    found, adjoint, whole = [], renderer.adjoint, image_loss.image_loss
+    found, adjoint, whole = [], renderer.adjoint, image_term.image_loss
     monkeypatch.setattr(renderer, "adjoint", kept)
-    monkeypatch.setattr(image_loss, "image_loss", spoilt)
-    monkeypatch.setattr(image_loss.ImageLoss, "waits", True)
+    monkeypatch.setattr(image_term, "image_loss", spoilt)
+    monkeypatch.setattr(ImageTerm, "waits", True)
     before = model.download().rows, *model.adam.download()
     step.run(1, plan, [TrainingSample(0, renderer.pack(camera_of(case)), photo)])
     after = model.download().rows, *model.adam.download()
@@ -225,8 +232,8 @@ def test_what_is_held_stays_though_it_has_moments(float_device, engine):
     moments = gaussians_of(count).rows
     model.adam.upload(moments, {name: values**2 for name, values in moments.items()})
     frozen = np.arange(count) % 2 == 0
-    step = Step(renderer, model, 1.0, TrainOptions(iterations=100),
-                trains=lambda positions, log_scales: ~frozen)
+    step = Step(renderer, model, 1.0, TrainOptions(iterations=100), [
+        ImageTerm(), FrozenRows(lambda positions, log_scales: ~frozen)])
     plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
                 decay=0.5)
     before = model.download().rows
@@ -251,7 +258,7 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
     count = len(case["rows"]["positions"])
     model = Model(device, Gaussians({k: v.astype(np.float32) for k, v in case["rows"].items()},
                                     DEGREE), engine, dense=True)
-    step = Step(renderer, model, 1.0, TrainOptions(iterations=100, batch=4))
+    step = Step(renderer, model, 1.0, TrainOptions(iterations=100, batch=4), [ImageTerm()])
     taken, found, adjoint = [], [], renderer.adjoint
 
     def kept(*arguments):
@@ -260,7 +267,7 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
 
     monkeypatch.setattr(renderer, "adjoint", kept)
     monkeypatch.setattr(model.adam, "apply", lambda rows, mean, *_: taken.append(mean))
-    monkeypatch.setattr(image_loss.ImageLoss, "waits", True)  # or the views would share a frame
+    monkeypatch.setattr(ImageTerm, "waits", True)  # or the views would share a frame
     plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
                 decay=0.5)
     camera = renderer.pack(camera_of(case))
@@ -298,7 +305,8 @@ def follow(device, gradients, scales, opacities=0.5, fields=LEARNED, **changes):
         given.rows["max_offsets"][:] = np.arange(1, given.count + 1)
     options = TrainOptions(schedule="constant", grow_threshold=1.0, prune_size=0.1,
                            **changes)
-    step = Step(Renderer(device, DEGREE, 0.2), Model(device, given), 10.0, options)
+    step = Step(Renderer(device, DEGREE, 0.2), Model(device, given), 10.0, options,
+                [ImageTerm()])
     # a mean over the views that saw each: sums of two views
     step.statistics.grad_norm_sum.write(np.array(gradients, np.float32) * 2)
     step.statistics.seen_count.write(np.full(given.count, 2, np.uint32))

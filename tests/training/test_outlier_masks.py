@@ -12,10 +12,9 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
-from clsplat.training import robust
-from clsplat.training.photos import Photos, photo_array
-from clsplat.training.robust import (
-    Seen,
+from clsplat.training.parts import outlier_masks
+from clsplat.training.parts.outlier_masks import (
+    ObservedView,
     cell_means,
     find_outliers,
     is_due,
@@ -26,6 +25,7 @@ from clsplat.training.robust import (
     spread,
     unpacked,
 )
+from clsplat.training.photos import Photos, photo_array
 from tests.data.tiny_training import CITY, model_digest, records, resumed, trained
 
 WIDTH, HEIGHT, VIEWS = 70, 50, 5
@@ -46,7 +46,7 @@ def test_means_of_cells(size):
 
 def test_differences_of_fine_texture_cancel():
     image = np.full((3, 16, 16), 0.4)
-    view = Seen(0, None, np.full((3, 16, 16), 102, np.uint8), np.ones((16, 16), bool))
+    view = ObservedView(None, np.full((3, 16, 16), 102, np.uint8), np.ones((16, 16), bool))
     image[:, ::2] += 0.2
     image[:, 1::2] -= 0.2
     image[:, 8:, 8:] += 0.1
@@ -69,7 +69,8 @@ def test_outliers_are_coherent_seen_by_others_and_few():
     assert not found.any()
     expected[:] = 0.01  # a whole photo differs
     residual = np.linspace(0.3, 0.9, 600).reshape(20, 30)
-    assert 0.1 < outliers(residual, expected, np.ones_like(served), 0.01).mean() <= robust.MOST
+    found = outliers(residual, expected, np.ones_like(served), 0.01)
+    assert 0.1 < found.mean() <= outlier_masks.MAX_MASKED_SHARE
 
 
 def test_cells_at_another_size_and_in_bits():
@@ -108,14 +109,14 @@ def wall(float_device):
         camera = renderer.pack(Camera(WIDTH, HEIGHT, (60.0, 60.0), (35.0, 25.0), np.eye(3), shift))
         image = renderer.render(rows, camera, WIDTH, HEIGHT, 0).image.download()
         noisy = image + rng.normal(0, 0.02, image.shape)
-        views.append(Seen(index, camera, np.round(noisy.clip(0, 1) * 255).astype(np.uint8),
+        views.append(ObservedView(camera, np.round(noisy.clip(0, 1) * 255).astype(np.uint8),
                           np.ones((HEIGHT, WIDTH), bool)))
     return renderer, rows, views
 
 
 def found(wall):
     renderer, rows, views = wall
-    return find_outliers(renderer, rows, 0, None, lambda: iter(views))
+    return find_outliers(renderer, rows, 0, lambda: iter(views))
 
 
 @pytest.mark.one_in(2)
@@ -135,7 +136,7 @@ def test_what_few_photos_show_is_not(wall):
     renderer, rows, views = wall
     views[2].photo[:, 12:28, 20:44] = np.array([250, 30, 200])[:, None, None]
     assert found(wall)[2].any()
-    assert not np.any(found((renderer, rows, views[:robust.OTHERS])))
+    assert not np.any(found((renderer, rows, views[:outlier_masks.MIN_OTHER_VIEWS])))
 
 
 def test_what_no_photo_agrees_with_is_not(wall):
@@ -189,8 +190,8 @@ def test_photos_leave_out_cells_at_every_level(item_device, tmp_path, budget):
 @pytest.fixture
 def often(monkeypatch):
     """Outliers are looked for every 28 steps, and found though nothing moves."""
-    for name, value in {"LEAST_EPOCHS": 1, "FACTOR": 0.8, "FLOOR": 0.5, "OTHERS": 0}.items():
-        monkeypatch.setattr(robust, name, value)
+    for name, value in {"MIN_EPOCHS": 1, "FACTOR": 0.8, "FLOOR": 0.5, "MIN_OTHER_VIEWS": 0}.items():
+        monkeypatch.setattr(outlier_masks, name, value)
 
 
 @pytest.mark.slow
@@ -198,7 +199,7 @@ def test_a_resumed_run_ends_in_the_same_bytes(item_device, tmp_path, often):
     city, options = read_scene(CITY), {"iterations": 100, "reset_every": 0}
     whole = trained(tmp_path / "whole", city, item_device, robust="on", **options)
     shares = [record["share"] for record in records(whole, "robust")]
-    assert len(shares) == 3 and 0.01 < max(shares) <= robust.MOST
+    assert len(shares) == 3 and 0.01 < max(shares) <= outlier_masks.MAX_MASKED_SHARE
     part = trained(tmp_path / "part", city, item_device, robust="on", stop_at=70, **options)
     assert "robust.cells" in RunFolder.open(part.path).load_checkpoint()[0]
     again = resumed(part, city, item_device, robust="on", **options)

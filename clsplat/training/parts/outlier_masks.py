@@ -1,16 +1,16 @@
 """Finds what moved or glared: pixels of a photo that the model explains well in other photos.
 
-A residual alone does not tell what moved: the largest residuals of real photos lie where the model
-is not learned yet, at borders that one or two photos see. So the residual of a photo is compared
-with what the same gaussians leave in all other photos. A place that is explained there but not here
-has changed; one that is explained nowhere is not learned yet, and must not be left out.
+The largest residuals of real photos lie where the model is not learned yet, at borders that one or
+two photos see. So the residual of a photo is compared with what the same gaussians leave in all
+other photos. A place that is explained there but not here has changed; one that is explained
+nowhere is not learned yet, and must not be left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,42 +19,49 @@ from scipy.ndimage import uniform_filter
 from clsplat.constants import SH_C0
 from clsplat.densify.contribution import contribution
 from clsplat.device import Array
-from clsplat.loss.exposure import Exposures
+from clsplat.loss.options import RobustOptions
+from clsplat.rendering.blend import Exposure
 from clsplat.rendering.pipeline import Frame, Renderer
 from clsplat.rendering.project import Rows
+from clsplat.training.part import Decision, Part, State, Survey
+
+if TYPE_CHECKING:
+    from clsplat.schedule import Plan
+    from clsplat.training.photos import Photos
+    from clsplat.training.prepare import PreparedScene
+    from clsplat.training.session import Session
 
 CELL = 4  # pixels: the width of a cell, over which signed differences are averaged
 FACTOR = 6.0  # of the residual in other photos, above which a cell is an outlier
 FLOOR = 8.0  # times the median residual of all cells: no outlier below
 NEIGHBOURS = 5 / 9  # share of the 3x3 cells around one that are outliers if it is ignored
-LEAST_WEIGHT = 0.05  # pixels that a gaussian covers in a photo that sees it
-OTHERS = 3  # photos that see a gaussian besides this one
-SERVED = 0.7  # share of a cell that gaussians cover which so many others see
-LOOKS = 8  # in a run, fewer where
-LEAST_EPOCHS = 5  # between two would not be
-MOST = 0.25  # share of a photo that may be ignored
+MIN_WEIGHT = 0.05  # pixels that a gaussian covers in a photo that sees it
+MIN_OTHER_VIEWS = 3  # photos that see a gaussian besides this one
+MIN_COVERAGE = 0.7  # share of a cell that gaussians cover which so many others see
+SEARCHES = 8  # in a run, or fewer, so that between two of them there are at least
+MIN_EPOCHS = 5
+MAX_MASKED_SHARE = 0.25  # share of a photo that may be ignored
 
 Cells = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ObservedView:
     """A training view at the present level.
 
     Attributes
     ----------
-    index : of the training view.
     camera : real[27], packed.
     photo : uint8[3, H, W].
     valid : bool[H, W], pixels that count by the photo's own mask.
-    layers : uchar[3 or 7, H, W], what surrounds a block (cl/include/layers.h); None: nothing.
+    exposure, backdrop : as for `Renderer.render`.
     """
 
-    index: int
     camera: Array
     photo: NDArray[np.uint8]
     valid: NDArray[np.bool_]
-    layers: Array | None = None
+    exposure: Exposure | None = None
+    backdrop: Array | None = None
 
 
 def cells_of(length: int) -> int:
@@ -89,7 +96,7 @@ def spread(cells: NDArray[Any], height: int, width: int) -> NDArray[Any]:
     return cells.repeat(CELL, axis=0).repeat(CELL, axis=1)[:height, :width]
 
 
-def residuals(image: NDArray[np.floating], view: Seen) -> NDArray[np.float64]:
+def residuals(image: NDArray[np.floating], view: ObservedView) -> NDArray[np.float64]:
     """Residuals [H/CELL, W/CELL] of cells: the mean over colours of |mean difference|.
 
     Differences of fine texture that is not learned yet cancel within a cell; those of something
@@ -105,7 +112,7 @@ def residuals(image: NDArray[np.floating], view: Seen) -> NDArray[np.float64]:
     return np.nan_to_num(found, nan=0.0, posinf=0.0)
 
 
-class Explained:
+class ResidualModel:
     """What the gaussians leave unexplained in all photos together.
 
     Attributes
@@ -115,25 +122,23 @@ class Explained:
     photos : int64[N], how many views see a gaussian.
     """
 
-    def __init__(self, renderer: Renderer, rows: Rows, sh_degree: int,
-                 exposures: Exposures | None) -> None:
+    def __init__(self, renderer: Renderer, rows: Rows, sh_degree: int) -> None:
         self.renderer, self.rows, self.sh_degree = renderer, rows, sh_degree
-        self.exposures = exposures
         count = len(rows["positions"])
         self.weights, self.errors = np.zeros(count), np.zeros(count)
         self.photos = np.zeros(count, np.int64)
 
-    def add(self, view: Seen) -> NDArray[np.float64]:
+    def add(self, view: ObservedView) -> NDArray[np.float64]:
         """Add a view; returns the residuals of its cells."""
         frame = self._frame(view)
         found = residuals(frame.exposed.download(), view)
         visible, weights, errors = self._sums(frame, view, found)
         self.weights[visible] += weights
         self.errors[visible] += errors
-        self.photos[visible] += weights >= LEAST_WEIGHT
+        self.photos[visible] += weights >= MIN_WEIGHT
         return found
 
-    def expected(self, view: Seen, residual: NDArray[np.float64]
+    def expected(self, view: ObservedView, residual: NDArray[np.float64]
                  ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """What all views but one leave unexplained where this one looks.
 
@@ -151,7 +156,7 @@ class Explained:
         other = np.maximum(self.weights[visible] - weights, 0)
         values = np.zeros((len(self.weights), 3), np.float64)
         values[visible, 0] = np.maximum(self.errors[visible] - errors, 0) / np.maximum(other, 1e-9)
-        values[visible, 1] = self.photos[visible] - (weights >= LEAST_WEIGHT) >= OTHERS
+        values[visible, 1] = self.photos[visible] - (weights >= MIN_WEIGHT) >= MIN_OTHER_VIEWS
         rows = {**self.rows, "sh_constant": self.renderer.device.upload(
             ((np.minimum(values, 1) - 0.5) / SH_C0).astype(self.renderer.device.real))}
         shown = self.renderer.render(rows, view.camera, width, height, 0)
@@ -159,16 +164,15 @@ class Explained:
         background = self.renderer.background.download()
         image = shown.image.download()[:2] - background[:2, None, None] * through
         expected, served, opaque = cell_means(np.stack([*image, 1 - through]), view.valid)
-        return expected / np.maximum(opaque, 1e-3), served >= SERVED
+        return expected / np.maximum(opaque, 1e-3), served >= MIN_COVERAGE
 
-    def _frame(self, view: Seen) -> Frame:
+    def _frame(self, view: ObservedView) -> Frame:
         _, height, width = view.photo.shape
         return self.renderer.render(
-            self.rows, view.camera, width, height, self.sh_degree,
-            exposure=self.exposures.of(view.index, view.camera) if self.exposures else None,
-            layers=view.layers)
+            self.rows, view.camera, width, height, self.sh_degree, exposure=view.exposure,
+            layers=view.backdrop)
 
-    def _sums(self, frame: Frame, view: Seen, residual: NDArray[np.float64]
+    def _sums(self, frame: Frame, view: ObservedView, residual: NDArray[np.float64]
               ) -> tuple[NDArray[np.uint32], NDArray[np.float64], NDArray[np.float64]]:
         """The visible rows of a frame; their weights in it, and these times the residuals."""
         device, pixels = self.renderer.device, spread(residual, *view.photo.shape[1:])
@@ -189,12 +193,12 @@ def outliers(residual: NDArray[np.float64], expected: NDArray[np.float64],
     """
     ratio = np.where(served, residual / np.maximum(np.maximum(FACTOR * expected, FLOOR * scale),
                                                    1e-9), 0)
-    limit = max(1.0, float(np.quantile(ratio, 1 - MOST)))
+    limit = max(1.0, float(np.quantile(ratio, 1 - MAX_MASKED_SHARE)))
     found = ratio > limit
     around = uniform_filter(found.astype(np.float64), 3, mode="nearest")
     coherent: Cells = around > NEIGHBOURS - 1e-6
     grown: Cells = uniform_filter(coherent.astype(np.float64), 3, mode="constant") > 1e-6
-    return grown & served if grown.mean() <= MOST else coherent
+    return grown & served if grown.mean() <= MAX_MASKED_SHARE else coherent
 
 
 def is_due(calm: int, iterations: int, epoch: int, level_ends: bool) -> bool:
@@ -208,7 +212,7 @@ def is_due(calm: int, iterations: int, epoch: int, level_ends: bool) -> bool:
     epoch : steps in which each view is trained on once.
     level_ends : whether the step is of another level.
     """
-    every = max(iterations // LOOKS, LEAST_EPOCHS * epoch)
+    every = max(iterations // SEARCHES, MIN_EPOCHS * epoch)
     return calm >= every or level_ends and 3 * calm >= every
 
 
@@ -217,16 +221,18 @@ def share_of(cells: Sequence[Cells]) -> float:
     return sum(int(each.sum()) for each in cells) / sum(each.size for each in cells)
 
 
-def find_outliers(renderer: Renderer, rows: Rows, sh_degree: int, exposures: Exposures | None,
-                  views: Callable[[], Iterable[Seen]]) -> list[Cells]:
+def find_outliers(renderer: Renderer, rows: Rows, sh_degree: int,
+                  views: Callable[[], Iterable[ObservedView]]) -> list[Cells]:
     """The cells of each view that are ignored; waits.
 
     Parameters
     ----------
-    renderer, rows, sh_degree, exposures : of the training.
+    renderer : renders the views.
+    rows : field name -> real[N, *row shape].
+    sh_degree : degree of the spherical harmonics that are used.
     views : returns all training views in their order; called twice.
     """
-    explained = Explained(renderer, rows, sh_degree, exposures)
+    explained = ResidualModel(renderer, rows, sh_degree)
     found = [explained.add(view) for view in views()]
     scale = float(np.median(np.concatenate([each.ravel() for each in found])))
     return [outliers(residual, *explained.expected(view, residual), scale)
@@ -264,3 +270,83 @@ def unpacked(bits: NDArray[np.uint8], sizes: Sequence[tuple[int, int]]) -> list[
     ends = np.cumsum([rows * columns for rows, columns in shapes])
     flat = np.unpackbits(bits, count=int(ends[-1])).astype(bool)
     return [part.reshape(shape) for part, shape in zip(np.split(flat, ends[:-1]), shapes)]
+
+
+class OutlierMasks(Part):
+    """Leaves out of the photos what moved or glared, which it looks for several times in a run.
+
+    Attributes
+    ----------
+    disturbed_at : step of the latest search, change of level or reset of opacities.
+    """
+
+    name = "robust"
+    Options = RobustOptions
+
+    def __init__(self) -> None:
+        self.disturbed_at = 0
+
+    @classmethod
+    def decide(cls, survey: Survey) -> dict[str, Decision]:
+        """On only if requested."""
+        if survey.options.robust == "on":
+            return {"robust": Decision(
+                "on", "on: requested; the record `robust` of the run has the share of the pixels "
+                "that are left out", requested=True)}
+        return {"robust": Decision("off", "off: not requested")}
+
+    @classmethod
+    def is_used(cls, prepared: PreparedScene) -> bool:
+        """Whether it is requested."""
+        return prepared.options.robust == "on"
+
+    def begin(self, session: Session) -> None:
+        """As `Part.begin`."""
+        self._photos: Photos = session.photos
+
+    def begin_level(self, session: Session) -> None:
+        """As `Part.begin_level`."""
+        self.disturbed_at = session.iteration
+
+    def opacities_reset(self, session: Session) -> None:
+        """As `Part.opacities_reset`."""
+        self.disturbed_at = session.iteration
+
+    def before_step(self, session: Session, plan: Plan) -> dict[str, float] | None:
+        """Find the pixels of all training photos that are left out from now on, if that is due.
+
+        The record has their share of all pixels, and the largest share in a photo.
+        """
+        options, views = session.decisions.options, len(session.train_views)
+        if not is_due(session.iteration - self.disturbed_at, options.iterations,
+                      -(-views // options.batch), plan.level != session.level):
+            return None
+        session.model.catch_up()
+        session.step.release()  # these frames have other sizes
+        cells = find_outliers(session.renderer, session.model.rows, plan.degree,
+                              lambda: _observed(session))
+        session.device.trim()
+        session.photos.ignore(cells)
+        self.disturbed_at = session.iteration
+        return {"share": round(share_of(cells), 6),
+                "most": round(max(float(each.mean()) for each in cells), 6)}
+
+    def state(self) -> State:
+        """As `Part.state`."""
+        ignored = self._photos.ignored
+        return {"disturbed_at": np.array(self.disturbed_at),
+                **({} if ignored is None else {"cells": packed(ignored)})}
+
+    def load(self, state: State, session: Session) -> None:
+        """As `Part.load`."""
+        self.disturbed_at = int(state["disturbed_at"])
+        if "cells" in state:
+            session.photos.ignore(unpacked(state["cells"], [
+                (view.camera.height, view.camera.width) for view in session.photos.views]))
+
+
+def _observed(session: Session) -> Iterator[ObservedView]:
+    """All training views at this level, with their photos."""
+    for index, work in enumerate(session.shown(range(len(session.train_views)))):
+        photo = session.photos.unweighed(index)
+        yield ObservedView(work.camera, photo[:3], photo[3] > 0, work.exposure, work.backdrop)

@@ -1,0 +1,38 @@
+"""The parts that clsplat brings, one in each file, in the order in which a step calls them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from clsplat.training.part import Part
+from clsplat.training.parts.backdrop import Backdrop
+from clsplat.training.parts.depth_maps import DepthMaps
+from clsplat.training.parts.exposures import PhotoResponses
+from clsplat.training.parts.frozen_rows import FrozenRows
+from clsplat.training.parts.image_term import ImageTerm
+from clsplat.training.parts.outlier_masks import OutlierMasks
+from clsplat.training.parts.poses import CameraPoses
+from clsplat.training.parts.position_noise import PositionNoise
+from clsplat.training.parts.regularisers import Regularisers
+from clsplat.training.parts.reprojection import Reprojection
+from clsplat.training.parts.sample_weights import SampleWeights
+
+if TYPE_CHECKING:
+    from clsplat.training.prepare import PreparedScene
+
+PARTS: tuple[type[Part], ...] = (
+    CameraPoses, PhotoResponses, Backdrop, ImageTerm, Reprojection, DepthMaps, Regularisers,
+    PositionNoise, OutlierMasks, FrozenRows, SampleWeights)
+
+
+def parts_of(prepared: PreparedScene, given: Iterable[Part] = ()) -> list[Part]:
+    """The parts of a training.
+
+    Parameters
+    ----------
+    prepared : the scene and its options.
+    given : more of them; one with the name of another takes its place.
+    """
+    own = (kind() for kind in PARTS if kind.is_used(prepared))
+    return list({part.name: part for part in (*own, *given)}.values())
