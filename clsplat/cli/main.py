@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import signal
 import sys
 import traceback
@@ -109,33 +108,16 @@ def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tu
         return f"error: {error.format_message()} See `{command} --help`.", 2
     if isinstance(error, click.ClickException):
         return f"error: {error.format_message()}", 2
-    if limit := limit_reached(error):
-        return f"error: {limit}", 2
     if isinstance(error, ClsplatError):
         return f"error: {error}", 2
     if isinstance(error, BrokenPipeError):
         return "", 128 + SIGPIPE
     if isinstance(error, OSError) and error.strerror:
         return f"error: {error.filename or 'the output'}: {error.strerror}; {CURE}", 2
-    no_room = isinstance(error, ImportError) and "failed to map segment" in str(error)
-    if no_room or isinstance(error, MemoryError):
+    if isinstance(error, MemoryError):
         return ("error: this machine does not have enough memory left; close other programs, or "
                 "use smaller images with --downscale or --max-resolution"), 2
     return "error: this is a bug in clsplat; please report it with the lines above", BUG
-
-
-def limit_reached(error: BaseException | None) -> str:
-    """The limit of files or threads that an exception came of, and the cure; or ""."""
-    while error is not None:
-        number = error.errno if isinstance(error, OSError) else 0
-        if number in (errno.EMFILE, errno.ENFILE):
-            return ("more files are open than the system allows at once; raise the limit "
-                    "(`ulimit -n`)")
-        if isinstance(error, BlockingIOError) or error.args == ("can't start new thread",):
-            return ("the system allows no further thread or process; end other programs, or raise "
-                    "the limit (`ulimit -u`, or `pids.max` of a container)")
-        error = error.__cause__ or error.__context__
-    return ""
 
 
 def say(text: str) -> None:

@@ -23,7 +23,6 @@ from clsplat.device.array import Array
 from clsplat.device.capabilities import probe_capabilities, probe_wave
 from clsplat.device.graph import Graph
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Kernel
-from clsplat.device.runtimes import ignore_file_limits
 from clsplat.device.source import define_options, kernel_source, words_of
 from clsplat.errors import TOO_LARGE, DeviceError, OutOfDeviceMemory
 
@@ -72,7 +71,6 @@ class Device:
         properties: Any = cl.command_queue_properties.PROFILING_ENABLE if profiling else 0
         self.queue = cl.CommandQueue(self.context, handle, properties=properties)
         self.capabilities = probe_capabilities(self.context, handle)
-        ignore_file_limits()
         self.compute_units = handle.max_compute_units
         self.largest_buffer = handle.max_mem_alloc_size
         self.group_size = min(128, handle.max_work_group_size)

@@ -9,10 +9,8 @@ import atexit
 import hashlib
 import os
 import shutil
-import signal
 import sys
 import tempfile
-import threading
 from pathlib import Path
 
 SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
@@ -70,15 +68,6 @@ def _is_complete(folder: Path, files: dict[str, str]) -> bool:
 def _write(folder: Path, files: dict[str, str]) -> None:
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
-
-
-def ignore_file_limits() -> None:
-    """Ignore SIGXFSZ again, as Python does, so that a file that grows too large is a failed write.
-
-    Intel's runtime changes this when it compiles: the signal then ends the process.
-    """
-    if hasattr(signal, "SIGXFSZ") and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
 
 register()

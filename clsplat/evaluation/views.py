@@ -31,7 +31,6 @@ from clsplat.io.ahead import called_ahead
 from clsplat.io.folders import make_folder
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.views import read_photo, read_valid
-from clsplat.io.regular import native
 from clsplat.options import TrainOptions
 from clsplat.placement.corrections import typical_depth
 from clsplat.rendering.slabs import ModelRenderer, open_model
@@ -304,6 +303,6 @@ def render_views(draw: Callable[[Camera], Image], views: Sequence[View],
         image = draw(view.camera)
         if beside:
             image = np.concatenate([image, photo_of(view)], axis=1)
-        path = Path(folder) / native(f"{view.name}.png")
+        path = Path(folder) / f"{view.name}.png"
         make_folder(path.parent)
         write_image(path, image)

@@ -11,7 +11,6 @@ from clsplat.io.photos.images import image_size
 from clsplat.io.photos.mask_files import FOLDERS, MaskFiles, mask_folders, photo_of
 from clsplat.io.photos.metadata import Calibration, PhotoMetadata, read_metadata
 from clsplat.io.photos.photo import Levels
-from clsplat.io.regular import in_unicode, native
 from clsplat.io.runs.run import CITY, OPTIONS
 from clsplat.io.scenes.sources import IMAGES, PHOTO_SUFFIXES
 
@@ -121,7 +120,7 @@ def find_photos(folder: Path, masks: Path | None = None
     hidden = [masks] if masks is not None else _mask_folders(root)
     photos, refused, unread, stems = [], {}, [], set()
     named = []  # as masks
-    for path in sorted(_files(root, hidden), key=lambda path: in_unicode(path.relative_to(root))):
+    for path in sorted(_files(root, hidden), key=lambda path: path.relative_to(root).as_posix()):
         relative = path.relative_to(root)
         if path.suffix.lower() in UNREAD:
             unread.append(relative)
@@ -131,8 +130,8 @@ def find_photos(folder: Path, masks: Path | None = None
             named.append(path)
             continue
         stems.add(relative.with_suffix(""))
-        name = in_unicode(relative)
-        if Path(native(name)) != relative:  # two such names may look the same
+        name = relative.as_posix().encode(errors="replace").decode()
+        if name != relative.as_posix():  # two such names may look the same
             refused[name] = "its name is not UTF-8: rename it"
             continue
         try:
@@ -147,11 +146,11 @@ def find_photos(folder: Path, masks: Path | None = None
         raise InputError(f"{folder}: {len(photos)} photos that can be read, and a reconstruction "
                          f"needs at least {LEAST_PHOTOS}, better 20 or more{why}")
     # a camera may write each photo in both formats
-    refused |= {in_unicode(relative): "camera RAW and HEIC are not read: convert it to JPEG"
+    refused |= {relative.as_posix(): "camera RAW and HEIC are not read: convert it to JPEG"
                 for relative in unread if relative.with_suffix("") not in stems}
     if masks is None:
         named += [path for folder in hidden for path in _files(folder) if is_photo(path)]
-        refused |= {in_unicode(path.relative_to(root)): NO_PHOTO for path in named
+        refused |= {path.relative_to(root).as_posix(): NO_PHOTO for path in named
                     if path not in files.used}
     if beside and not any(photo.mask for photo in photos):
         raise InputError(f"{'--masks ' if masks else ''}{beside[0]}: has a mask for none of the "
@@ -186,7 +185,7 @@ def _mask_folders(root: Path) -> list[Path]:
 def _are_masks(folder: Path) -> bool:
     """Whether a folder has a mask for one of the photos beside it."""
     files = MaskFiles([folder], beside=False)
-    names = (in_unicode(path.relative_to(folder.parent))
+    names = (path.relative_to(folder.parent).as_posix()
              for path in _files(folder.parent, [folder]) if is_photo(path))
     return any(map(files.of, names))
 

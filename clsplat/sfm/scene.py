@@ -15,7 +15,6 @@ from clsplat.io.ahead import called_ahead
 from clsplat.io.folders import link_file, make_folder
 from clsplat.io.photos.images import read_image
 from clsplat.io.photos.mask_files import MASKS
-from clsplat.io.regular import native
 from clsplat.io.scenes.colmap import write_reconstruction
 from clsplat.io.scenes.sources import IMAGES
 from clsplat.sfm.features import threads
@@ -44,10 +43,10 @@ def write_scene(folder: Path, reconstruction: Any, photos: Sequence[SourcePhoto]
     by_name = {photo.name: photo for photo in photos}
     images = {image.name: image for image in reconstruction.images.values() if image.has_pose}
     for name in sorted(images):
-        link_file(by_name[name].path, folder / IMAGES / native(name), "hard")
+        link_file(by_name[name].path, folder / IMAGES / name, "hard")
         mask = by_name[name].mask
         if mask is not None:
-            link_file(mask, folder / MASKS / native(name + mask.suffix), "hard")
+            link_file(mask, folder / MASKS / (name + mask.suffix), "hard")
     _add_colours(reconstruction, {name: by_name[name] for name in sorted(images)}, images, progress)
     make_folder(folder / "sparse" / "0")
     write_reconstruction(folder / "sparse" / "0", reconstruction)

@@ -1,18 +1,12 @@
 """Handles Ctrl-C and a scheduler's SIGTERM, so that no half step reaches the checkpoint."""
 
-import _thread
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.machinery import ExtensionFileLoader
 from types import FrameType
-from typing import Any
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGBREAK")  # the last is Windows's, for Ctrl-Break
-
-AGAIN = 0.02  # seconds
 
 
 class Interrupts:
@@ -52,84 +46,22 @@ class Interrupts:
 
 
 @contextmanager
-def signals_held() -> Iterator[None]:
-    """Hold signals back until the block ends, also the second one.
-
-    Outside the main thread this does nothing, as Python delivers no signals there.
-    """
-    arrived: list[int] = []
-    before: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        before = {number: handler for number in signal.valid_signals()
-                  if callable(handler := signal.getsignal(number))}
-    for number in before:
-        signal.signal(number, lambda number, frame: arrived.append(number))
-    try:
-        yield
-    finally:
-        for number, handler in reversed(before.items()):  # Ctrl-C last, as it may raise
-            signal.signal(number, handler)
-        for number in arrived:
-            signal.raise_signal(number)
-
-
-@contextmanager
-def whole_imports() -> Iterator[None]:
-    """Let signals wait for imports of extension modules that begin during the block.
-
-    Modules in C++ that make enums by pybind11 or nanobind (OpenImageIO, pyopencl, matplotlib) call
-    Python for it; where a signal handler raises an exception amid that, the process aborts.
-    Outside the main thread this does nothing.
-    """
-    def held(method: Callable[[ExtensionFileLoader, Any], Any]
-             ) -> Callable[[ExtensionFileLoader, Any], Any]:
-        def whole(loader: ExtensionFileLoader, argument: Any) -> Any:
-            with signals_held():
-                return method(loader, argument)
-        return whole
-
-    names = ("create_module", "exec_module") * (
-        threading.current_thread() is threading.main_thread())
-    before = {name: getattr(ExtensionFileLoader, name) for name in names}
-    for name, method in before.items():
-        setattr(ExtensionFileLoader, name, held(method))
-    try:
-        yield
-    finally:
-        for name, method in before.items():
-            setattr(ExtensionFileLoader, name, method)
-
-
-@contextmanager
 def handled_interrupts() -> Iterator[Interrupts]:
     """Handle the signals that end a command during the block, except ignored ones.
 
     Outside the main thread this does nothing, as Python delivers no signals there.
     """
-    handler, before, hook = Interrupts(), {}, sys.unraisablehook
-
-    def unraisable(what: Any) -> None:
-        """Where an exception in a destructor would be shown and lost: send the signal once more, a
-        little later, when the destructor is done."""
-        if isinstance(what.exc_value, KeyboardInterrupt):
-            again = threading.Timer(AGAIN, _thread.interrupt_main, (handler.number,))
-            again.daemon = True
-            again.start()
-        else:
-            hook(what)
+    handler, before = Interrupts(), {}
     if threading.current_thread() is threading.main_thread():
-        sys.unraisablehook = unraisable
         numbers = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
         before = {number: signal.signal(number, handler) for number in numbers
                   if signal.getsignal(number) is not signal.SIG_IGN}
     try:
-        with whole_imports():
-            yield handler
+        yield handler
     finally:
         handler.end()
         for number, was in before.items():
             signal.signal(number, was)
-        sys.unraisablehook = hook
 
 
 @contextmanager

@@ -10,9 +10,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
-import socket
 import threading
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -27,17 +25,11 @@ from clsplat.io.photos.images import encode_jpeg
 from clsplat.io.records import plain
 from clsplat.view.frames import FrameRequest, FrameRequests
 
-try:
-    import resource
-except ImportError:  # Windows has no such limits
-    resource = None  # type: ignore[assignment]
-
 LOOPBACK = "127.0.0.1"
 PORT = 8642  # if it is free
-RETRY_SECONDS = 0.1
 PATIENCE = 20.0  # seconds, for a frame: a training may evaluate in between
 JPEG_QUALITY = 90
-MOST_CONNECTIONS, SHARE_OF_FILES = 32, 0.25  # at once; or that share of the limit of open files
+MOST_CONNECTIONS = 32  # at once, so that files are left for a training
 IDLE_SECONDS = 15  # without a byte of a request
 LONGEST_BODY = 4096  # bytes of a request
 LARGEST_SIDE, LARGEST_FRAME = 4096, 2560 * 1600  # pixels
@@ -95,15 +87,7 @@ class _Server(ThreadingHTTPServer):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._places = threading.BoundedSemaphore(most_connections())
-
-    def get_request(self) -> tuple[socket.socket, Any]:
-        """Accept a connection; without a file left, not again at once."""
-        try:
-            return super().get_request()
-        except OSError:
-            time.sleep(RETRY_SECONDS)
-            raise
+        self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer in a thread, or close a connection that is one too many: its file is one that the
@@ -111,11 +95,7 @@ class _Server(ThreadingHTTPServer):
         if not self._places.acquire(blocking=False):
             self.shutdown_request(request)
             return
-        try:
-            super().process_request(request, client_address)
-        except BaseException:  # no further thread can be started
-            self._places.release()
-            raise
+        super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Answer, then give the place free."""
@@ -126,16 +106,6 @@ class _Server(ThreadingHTTPServer):
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that goes away is no error."""
-
-
-def most_connections() -> int:
-    """How many connections there may be at once, so that files are left for a training."""
-    if resource is None:
-        return MOST_CONNECTIONS
-    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if files == resource.RLIM_INFINITY:
-        return MOST_CONNECTIONS
-    return max(1, min(MOST_CONNECTIONS, int(SHARE_OF_FILES * files)))
 
 
 def _bound(handler: Callable[..., BaseHTTPRequestHandler], port: int) -> _Server:

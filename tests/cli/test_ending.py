@@ -1,13 +1,10 @@
 """How the command ends when it is interrupted, or when nobody can read what it says."""
 
-import errno
 import os
 import signal
 import subprocess
 import sys
-import threading
 import time
-from importlib.machinery import ExtensionFileLoader
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,11 +14,8 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main, verdict
 from clsplat.cli.train import ending
-from clsplat.errors import InputError
 from clsplat.io.runs.run import RunFolder
-from clsplat.training.interrupt import handled_interrupts, signals_held
 from tests.cli.test_cli import python, raising
-from tests.test_layout import ROOT
 
 
 @pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -93,16 +87,6 @@ def test_a_second_ctrl_c_while_the_first_one_is_told(name):
     assert told == "interrupted: give the same command again"
 
 
-def test_ctrl_c_after_the_end_changes_nothing():
-    """What the command said of how to go on is its last line."""
-    result = python("-c", "import atexit, os, signal, sys\nimport clsplat.__main__ as entry\n"
-                    "import clsplat.cli.main as cli\n"
-                    "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-                    "atexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
-                    "cli.main = lambda **_: sys.exit(130)\nentry.run()")
-    assert (result.returncode, result.stderr) == (130, "")
-
-
 def test_ctrl_c_that_no_handler_of_the_command_took():
     """In the few instructions before the command's own handling: no traceback either."""
     result = python("-c", "import clsplat.__main__ as entry, clsplat.cli.main as cli\n"
@@ -141,15 +125,6 @@ def test_output_that_cannot_be_written_is_told():
     assert done.returncode == 2 and line.startswith("error: the output: No space left on device")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
-def test_standard_streams_may_be_closed(closed, tmp_path):
-    """Services start without; a file that is opened first must not become one of them."""
-    done = subprocess.run(["sh", "-c", f'"{sys.executable}" -m clsplat export nothing -o a.ply '
-                           f"{closed}"], capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-
-
 def test_a_reader_who_leaves_is_no_error():
     done = subprocess.run(["sh", "-c", f'"{sys.executable}" -m clsplat train --help 2>&1 | '
                            "true; echo done"], capture_output=True, text=True, check=False)
@@ -162,116 +137,3 @@ def test_a_reader_who_leaves_is_no_error():
 def test_what_the_machine_lacks_is_no_bug(error, said, code):
     result = CliRunner().invoke(raising(error), ["fail"])
     assert result.exit_code == code and said in result.stderr and "bug" not in result.stderr
-
-
-@pytest.mark.slow
-def test_an_interrupt_in_a_destructor_is_not_lost(capfd, request):
-    """Python shows exceptions of destructors, and goes on."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
-    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
-
-    class Ending:
-        def __del__(self):
-            signal.raise_signal(signal.SIGINT)
-
-    with handled_interrupts() as interrupts, pytest.raises(KeyboardInterrupt):
-        Ending()
-        time.sleep(5)
-    assert interrupts.number == signal.SIGINT and not capfd.readouterr().err
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
-@pytest.mark.parametrize("module, most", [("OpenImageIO", 600), ("pyopencl", 700),
-                                          ("matplotlib.ft2font", 1800)])
-def test_ctrl_c_amid_an_import_does_not_abort(module, most):
-    """Python code that C++ code of an extension module calls must not raise: the process aborts."""
-    result = python("-c", f"""
-import os, signal, sys
-from importlib.machinery import ExtensionFileLoader as Loader
-from clsplat.training.interrupt import handled_interrupts
-signal.signal(signal.SIGINT, signal.default_int_handler)
-calls = 0
-
-def trace(frame, event, argument):
-    global calls
-    while (frame := frame.f_back) and not isinstance(frame.f_locals.get("self"), Loader):
-        if frame.f_code.co_name == "exec_module":
-            return
-    calls += frame is not None
-    if frame and calls == at:
-        signal.raise_signal(signal.SIGINT)
-
-for at in range(100, {most}, 100):
-    if not (child := os.fork()):
-        try:
-            with handled_interrupts():
-                sys.settrace(trace)
-                import {module}
-        except KeyboardInterrupt:
-            os._exit(3)
-        os._exit(0)
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-""")
-    codes = result.stdout.split()  # 0 where a version makes fewer calls
-    assert codes[:2] == ["3", "3"] and set(codes) <= {"3", "0"}, result.stdout + result.stderr
-
-
-def test_imports_are_changed_by_the_main_thread_alone():
-    """Two other threads could end in another order than they began."""
-    imports, found = dict(vars(ExtensionFileLoader)), []
-
-    def other():
-        with handled_interrupts():
-            found.append(dict(vars(ExtensionFileLoader)))
-
-    thread = threading.Thread(target=other)
-    thread.start()
-    thread.join()
-    with handled_interrupts():
-        assert vars(ExtensionFileLoader) != imports
-    assert found == [imports]
-
-
-def test_a_held_signal_arrives_after_the_block():
-    done, imports = [], dict(vars(ExtensionFileLoader))
-    with handled_interrupts() as handler, pytest.raises(KeyboardInterrupt):
-        with signals_held():
-            signal.raise_signal(signal.SIGTERM)
-            done.append("held")
-        time.sleep(60)
-    assert done == ["held"] and handler.count == 1 and handler.number == signal.SIGTERM
-    assert vars(ExtensionFileLoader) == imports
-
-
-@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE])
-@pytest.mark.parametrize("told", [None, "a.jpg: the image cannot be read; check the path"])
-def test_too_many_open_files_are_named_as_the_cause(number, told):
-    try:
-        try:
-            raise OSError(number, os.strerror(number), "a.jpg")
-        except OSError as error:
-            if told is None:
-                raise
-            raise InputError(told) from (error if number == errno.EMFILE else None)
-    except (OSError, InputError) as error:
-        message, code = verdict(error)
-    assert code == 2 and "raise the limit (`ulimit -n`)" in message and "path" not in message
-
-
-@pytest.mark.parametrize("error", [
-    RuntimeError("can't start new thread"), BlockingIOError(errno.EAGAIN, "Resource unavailable")])
-def test_too_many_threads_are_named_as_the_cause(error):
-    message, code = verdict(error)
-    assert code == 2 and "no further thread or process" in message and "`ulimit -u`" in message
-
-
-@pytest.mark.slow
-def test_the_owner_can_read_what_is_written(tmp_path):
-    """Also with a umask that takes the rights from the owner himself."""
-    words = "synth -o out --blocks 1x1 --views 12 --size 96x64"
-    line = f"umask 777; exec {sys.executable} -m clsplat {words}"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, check=True)
-    written = [tmp_path / "out", *(tmp_path / "out").rglob("*")]
-    assert len(written) > 3 and all(path.stat().st_mode & 0o400 for path in written)

@@ -189,7 +189,7 @@ def is_closed(connection, seconds):
 
 @pytest.fixture
 def two_places(requests, monkeypatch):
-    monkeypatch.setattr(server_module, "most_connections", lambda: 2)
+    monkeypatch.setattr(server_module, "MOST_CONNECTIONS", 2)
     with ViewServer("<h1>page</h1>", requests, dict) as opened:
         yield opened
 
@@ -211,17 +211,6 @@ def test_connections_beyond_the_most_are_closed_at_once(two_places):
         raise AssertionError("no place becomes free")
 
 
-def test_a_place_is_free_again_after_a_thread_that_could_not_start(two_places, monkeypatch):
-    def fail(*_):
-        raise RuntimeError("can't start new thread")
-    with monkeypatch.context() as broken:
-        broken.setattr(server_module.ThreadingHTTPServer, "process_request", fail)
-        for _ in range(5):
-            with connected(two_places) as connection:
-                assert is_closed(connection, 30)
-    assert answer(two_places, f"/{two_places.token}/")[0] == 200
-
-
 @pytest.mark.parametrize("begin", [b"", b"GET / HTTP/1.1\r\n", b"POST / HTTP/1.1\r\nX: "])
 def test_an_unfinished_request_is_closed(server, monkeypatch, begin):
     assert server_module.IDLE_SECONDS == server_module._Handler.timeout == 15
@@ -229,15 +218,6 @@ def test_an_unfinished_request_is_closed(server, monkeypatch, begin):
     with connected(server) as connection:
         connection.send(begin)
         assert is_closed(connection, 30)
-
-
-@pytest.mark.parametrize("files, most", [(4, 1), (16, 4), (64, 16), (128, 32), (1 << 20, 32)])
-def test_few_files_leave_few_connections(monkeypatch, files, most):
-    resource = pytest.importorskip("resource")
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
-    assert server_module.most_connections() == most
-    monkeypatch.setattr(resource, "getrlimit", lambda _: 2 * (resource.RLIM_INFINITY,))
-    assert server_module.most_connections() == 32
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ map coordinates where the scene is georeferenced: the format has room for large 
 """
 
 import logging
+import struct
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +19,6 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.georeference.crs import cloud_on_map, has_pyproj, pyproj_crs
-from clsplat.io.models.las_header import check_las
 from clsplat.io.models.points import cloud_gaussians
 from clsplat.io.models.values import Notes, colours_of, opacities, reading
 from clsplat.io.reason import clean, reason
@@ -30,6 +30,7 @@ STEPS = (1 << 31) - 1  # of a coordinate, above and below its offset
 FINEST_STEP, STEPS_A_SCALE = 1e-6, 10
 ROWS_AT_A_TIME = 1 << 20
 Part = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]
+HEADER, RECORD_HEAD_BYTES = struct.Struct("<96xII"), 54  # offset to the points, records before them
 RECORD_BYTES = 24  # that are read of a point: three coordinates and three colours
 
 
@@ -93,7 +94,11 @@ def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | N
     laspy = laspy_for(path)
     with reading(path, "a LAS or LAZ file"), open_regular(path) as file:
         size = file.seek(0, 2)
-        check_las(file, size)
+        file.seek(0)
+        head = file.read(HEADER.size)
+        begin, records = HEADER.unpack(head) if len(head) == HEADER.size else (0, 0)
+        if begin > size or records * RECORD_HEAD_BYTES > begin:  # laspy would count to 2^32
+            raise ValueError("its header claims more than it holds")
         file.seek(0)
         # the parallel decompressor allocates what the file's table of chunks claims
         with _no_panic(), laspy.open(file, closefd=False, read_evlrs=False,

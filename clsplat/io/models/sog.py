@@ -40,7 +40,7 @@ from clsplat.io.models.values import (
 )
 from clsplat.io.models.webp import decode_webp, encode_webp
 from clsplat.io.records import object_of
-from clsplat.io.regular import native, read_regular
+from clsplat.io.regular import read_regular
 from clsplat.io.unpack import check_rows, opened_archive
 
 META, GENERATOR, ORIGIN = "meta.json", "clsplat", "clsplat_origin"
@@ -149,7 +149,7 @@ def _opened(path: Path) -> Iterator[Callable[[str], bytes]]:
     folders, or a file beside meta.json."""
     if is_unbundled(path):
         folder = path / META if path.is_dir() else path
-        yield lambda name: read_regular(folder.with_name(native(_plain(name))))
+        yield lambda name: read_regular(folder.with_name(_plain(name)))
         return
     with opened_archive(path) as archive:
         if len(archive.members) > MOST_MEMBERS:

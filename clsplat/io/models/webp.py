@@ -4,8 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.io.photos.images import encode_image
-from clsplat.io.photos.photo import reason_of
-from clsplat.io.regular import memory_file
+from clsplat.io.photos.photo import reason_of, temporary_file
 from clsplat.io.unpack import check_expansion
 
 
@@ -25,7 +24,7 @@ def decode_webp(data: bytes) -> NDArray[np.uint8]:
 
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)  # as stored, not multiplied by the last channel
-    with memory_file("WebP", data) as path:
+    with temporary_file(data) as path:
         image = oiio.ImageInput.open(path, config)
         reason = reason_of(oiio)
         if image is None or image.format_name() != "webp":

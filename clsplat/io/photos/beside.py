@@ -9,7 +9,6 @@ from pathlib import Path, PurePosixPath
 
 from clsplat.errors import InputError
 from clsplat.io.photos.images import image_size
-from clsplat.io.regular import native
 from clsplat.scene import View
 
 TOLERANCE = 0.02  # of the ratio of the sides of an image and its photo
@@ -31,7 +30,7 @@ def file_beside(folder: Path, view: View, suffixes: Sequence[str] = (".png",)) -
 def image_beside(folder: Path, name: str, suffixes: Sequence[str] = (".png",)) -> Path | None:
     """As `file_beside`, for a photo of this name."""
     stems = name, str(PurePosixPath(name).with_suffix(""))
-    paths = (folder / native(f"{stem}{suffix}") for stem in stems for suffix in suffixes)
+    paths = (folder / f"{stem}{suffix}" for stem in stems for suffix in suffixes)
     return next((path for path in paths if path.is_file()), None)
 
 

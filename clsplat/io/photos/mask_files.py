@@ -15,7 +15,6 @@ import re
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
-from clsplat.io.regular import native
 from clsplat.io.scenes.sources import PHOTO_SUFFIXES
 
 MASKS = "masks"
@@ -62,7 +61,7 @@ class MaskFiles:
         name : of the photo below the folders, with slashes.
         photo : its file.
         """
-        relative = Path(native(name))
+        relative = Path(name)
         places = [((folder / relative).parent, False) for folder in self._folders]
         if photo is not None and self._beside:
             places.append((photo.parent, True))

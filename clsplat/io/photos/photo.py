@@ -3,6 +3,7 @@
 docs/guide/photos.md has a table of the formats that are read.
 """
 
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.io.photos.resample import band_rows
 from clsplat.io.reason import MOST_CHARACTERS, clean
-from clsplat.io.regular import memory_file, open_regular, utf8_path
+from clsplat.io.regular import open_regular
 
 # a header that claims more pixels is damaged: no decoder may allocate memory for it
 MOST_PIXELS = 1 << 30
@@ -236,7 +237,7 @@ def _input(source: Source) -> Iterator[tuple[str | Path, Any]]:
         return
     if isinstance(source, bytes):
         name = f"encoded image of {len(source)} bytes"
-        with memory_file(name, source) as path:
+        with temporary_file(source) as path:
             yield from _checked_input(path, name, len(source))
         return
     try:
@@ -248,8 +249,18 @@ def _input(source: Source) -> Iterator[tuple[str | Path, Any]]:
         why = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{str(source)[:MOST_CHARACTERS]}: the image cannot be read ({why}); "
                          "check the path") from None
-    with utf8_path(source) as path:
-        yield from _checked_input(path, source, size)
+    if str(source).encode(errors="replace").decode() != str(source):  # OpenImageIO takes no other
+        raise InputError(f"{source}: the path of the image is not UTF-8; rename it")
+    yield from _checked_input(str(source), source, size)
+
+
+@contextmanager
+def temporary_file(content: bytes) -> Iterator[str]:
+    """Yield the path of a file of these bytes: OpenImageIO does not read Python's memory."""
+    with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
+        path = Path(folder, "image")
+        path.write_bytes(content)
+        yield str(path)
 
 
 def _checked_input(path: str, name: str | Path, size: int) -> Iterator[tuple[str | Path, Any]]:

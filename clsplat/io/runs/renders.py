@@ -6,7 +6,6 @@ from pathlib import Path
 from clsplat.errors import InputError
 from clsplat.io.folders import make_folder, remove_files
 from clsplat.io.records import object_of, write_object
-from clsplat.io.regular import in_unicode, native
 
 RENDERS = "renders"
 WRITTEN = "written.json"  # in that folder: the pictures there that clsplat wrote
@@ -28,7 +27,7 @@ class Renders:
         since they may belong to somebody else."""
         try:
             names = object_of((self.folder / WRITTEN).read_bytes())["pictures"]
-            paths = [self.folder / native(name) for name in names if ".." not in Path(name).parts]
+            paths = [self.folder / name for name in names if ".." not in Path(name).parts]
         except (OSError, ValueError, KeyError, TypeError):
             return []
         inside = os.path.join(os.path.realpath(self.folder.parent), RENDERS, "")
@@ -38,7 +37,7 @@ class Renders:
     def note(self, kind: str, names: list[str]) -> None:
         """Record that each `path(kind, name)` will be written: --overwrite may remove it."""
         make_folder(self.folder)
-        pictures = {in_unicode(path.relative_to(self.folder)) for path in self.paths()}
+        pictures = {path.relative_to(self.folder).as_posix() for path in self.paths()}
         pictures |= {f"{kind}/{name}.png" for name in names}
         write_object(self.folder / WRITTEN, {"pictures": sorted(pictures)}, indent=0)
 
@@ -47,7 +46,7 @@ class Renders:
 
         The suffix of the view's name is kept, or a.jpg and a.png would share one file.
         """
-        path = self.folder / kind / native(f"{name}.png")
+        path = self.folder / kind / f"{name}.png"
         if not path.resolve().is_relative_to(self.folder.resolve()):
             raise InputError(f"{name}: a view's name must not leave the render folder; rename it")
         make_folder(path.parent)

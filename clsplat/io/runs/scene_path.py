@@ -4,22 +4,22 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote, unquote_to_bytes
 
 from clsplat.errors import InputError
-
-NOT_UTF8 = "bytes:"  # begins a path that is not Unicode text; the rest is percent-encoded
 
 
 def scene_record(scene: Path, folder: Path) -> dict[str, str]:
     """Describe where a scene is, for a record in `folder`: "scene", relative to the folder, which
-    stays right when both are moved together, and "scene_absolute"."""
+    stays right when both are moved together, and "scene_absolute"; InputError if its path is not
+    UTF-8."""
     absolute = os.path.realpath(scene)
     try:
         relative = os.path.relpath(absolute, os.path.realpath(folder))
     except ValueError:  # another drive, on Windows
         relative = absolute
-    return {"scene": _text_of(Path(relative).as_posix()), "scene_absolute": _text_of(absolute)}
+    if absolute.encode(errors="replace").decode() != absolute:
+        raise InputError(f"{scene}: its path is not UTF-8; rename its folder")
+    return {"scene": Path(relative).as_posix(), "scene_absolute": absolute}
 
 
 def recorded_scene(record: Mapping[str, Any], folder: Path, given: Path | None = None) -> Path:
@@ -29,7 +29,7 @@ def recorded_scene(record: Mapping[str, Any], folder: Path, given: Path | None =
         return Path(given)
     named = [record[key] for key in ("scene", "scene_absolute")
              if record.get(key) and isinstance(record[key], str)]
-    places = [Path(os.path.normpath(os.path.join(os.path.realpath(folder), _path_of(name))))
+    places = [Path(os.path.normpath(os.path.join(os.path.realpath(folder), name)))
               for name in named]
     for place in places:
         if place.exists():
@@ -37,17 +37,3 @@ def recorded_scene(record: Mapping[str, Any], folder: Path, given: Path | None =
     cause = f"its scene {places[-1]} no longer exists" if places else "it names no scene"
     raise InputError(f"{folder}: {cause}; say where it is, as SCENE to `clsplat train` and "
                      "with --scene to other commands")
-
-
-def _text_of(path: str) -> str:
-    try:
-        path.encode()
-        return path
-    except UnicodeEncodeError:
-        return NOT_UTF8 + quote(os.fsencode(path))
-
-
-def _path_of(text: str) -> str:
-    if text.startswith(NOT_UTF8):
-        return os.fsdecode(unquote_to_bytes(text[len(NOT_UTF8):]))
-    return text

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
-from clsplat.io.regular import native
 from clsplat.io.scenes.checks import checked_scene
 from clsplat.io.scenes.colmap import read_model
 from clsplat.io.scenes.sources import checked_photos
@@ -47,6 +46,6 @@ def _part(folder: Path) -> tuple[dict[str, NDArray[Any]], list[Path]]:
     photos = next((folder / name for name in PHOTOS if (folder / name).is_dir()),
                   folder / PHOTOS[0])
     # joined as text, so that a name with a leading slash stays below the folder
-    sources = [Path(f"{photos}/{native(name)}") for name in arrays["files"]]
+    sources = [Path(f"{photos}/{name}") for name in arrays["files"]]
     names = np.array([f"{folder.name}/{name}" for name in arrays["names"]])
     return arrays | {"names": names}, sources

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.io.photos.lenses import undistorted_model
 from clsplat.io.reason import reason
-from clsplat.io.regular import native, open_regular, read_regular
+from clsplat.io.regular import open_regular, read_regular
 from clsplat.io.scenes.checks import checked_scene
 from clsplat.io.scenes.colmap_files import (
     PARTS,
@@ -48,7 +48,7 @@ def read_colmap(folder: str | Path, images: str = "") -> Scene:
     folder = Path(folder)
     model, arrays = read_model(folder)
     photos = photo_folder(folder, images)
-    sources = [photos / native(name) for name in arrays["files"]]
+    sources = [photos / name for name in arrays["files"]]
     scene = checked_scene(model, folder.resolve().name, arrays, sources)
     scene = replace(scene, path=folder, notes=tuple(model_notes(folder, model)))
     may_be_smaller = bool(images) or photos.name != IMAGES

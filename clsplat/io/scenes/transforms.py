@@ -21,7 +21,7 @@ from clsplat.io.photos.images import image_size
 from clsplat.io.photos.lenses import PANORAMA, Model, brown_model
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
-from clsplat.io.regular import native, read_regular
+from clsplat.io.regular import read_regular
 from clsplat.io.scenes.checks import CONTROL
 from clsplat.io.scenes.cloud import Cloud, read_cloud
 from clsplat.io.scenes.posed import PosedPhoto, posed_scene
@@ -121,7 +121,7 @@ def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> Pose
     mask = frame.get("mask_path")
     return PosedPhoto(name, source, size, (focal_x, focal_y), centre, pose, held_out,
                       _lens(frame, size, (focal_x, focal_y, *centre)),
-                      None if mask is None else folder / native(_text(mask, "mask_path")))
+                      None if mask is None else folder / _text(mask, "mask_path"))
 
 
 def _pose(frame: Mapping[str, Any]) -> tuple[NDArray[np.float64], Any]:
@@ -146,11 +146,11 @@ def _matrix(table: Mapping[str, Any], key: str) -> NDArray[np.float64]:
 def _photo(folder: Path, file_path: object) -> tuple[str, Path]:
     """(name of the view, path) of a photo that may lack its suffix."""
     photo = _text(file_path, "file_path").replace("\\", "/")
-    if not isfile(folder / native(photo)):
-        photo += next((suffix for suffix in SUFFIXES if isfile(folder / native(photo + suffix))),
+    if not isfile(folder / photo):
+        photo += next((suffix for suffix in SUFFIXES if isfile(folder / (photo + suffix))),
                       "")
     parts = [part for part in PurePosixPath(photo).parts if part not in ("..", "/")]
-    return "/".join(parts), folder / native(photo)
+    return "/".join(parts), folder / photo
 
 
 def _text(value: object, key: str) -> str:
@@ -220,7 +220,7 @@ def _cloud(path: Path, table: Mapping[str, Any]) -> Cloud | None:
     """The points and colours of `read_cloud`, in the coordinates of the poses."""
     file_path = table.get("ply_file_path")
     try:
-        ply = None if file_path is None else path.parent / native(_text(file_path, "ply_file_path"))
+        ply = None if file_path is None else path.parent / _text(file_path, "ply_file_path")
         # nerfstudio applies this to COLMAP's world before it writes poses and PLY
         transform = (_matrix(table, "applied_transform") if "applied_transform" in table
                      else np.eye(3, 4)) * _number(table, "applied_scale", 1)

@@ -12,7 +12,6 @@ from clsplat.io.georeference.files import write_placement
 from clsplat.io.photos.images import encode_image
 from clsplat.io.photos.mask_files import MASKS
 from clsplat.io.photos.views import read_photo, read_valid
-from clsplat.io.regular import native
 from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 from clsplat.scene import Scene, View
 
@@ -60,9 +59,9 @@ def write_scene(folder: Path, scene: Scene, downscale: float = 1.0, linked: bool
 def _write_encoded(folder: Path, view: View, suffix: str) -> None:
     """Write the photo of a view as its camera shows it, and the mask of the pixels that count."""
     valid = read_valid(view)
-    images = [(folder / "images" / native(view.name), read_photo(view), suffix)]
+    images = [(folder / "images" / view.name, read_photo(view), suffix)]
     if valid is not None:
-        images.append((folder / MASKS / native(f"{view.name}.png"),
+        images.append((folder / MASKS / f"{view.name}.png",
                        np.repeat(valid[:, :, None], 3, axis=2) * np.uint8(255), "png"))
     for path, pixels, form in images:
         make_folder(path.parent)
@@ -73,11 +72,11 @@ def _files(folder: Path, views: Iterable[View]) -> Iterator[tuple[Path, Path]]:
     """(photo, mask or depth map, its place in a folder), of those that are files."""
     for view in views:
         if isinstance(view.source, Path):
-            yield view.source, folder / "images" / native(view.name)
+            yield view.source, folder / "images" / view.name
         if isinstance(view.mask, Path):
-            yield view.mask, folder / MASKS / native(f"{view.name}.png")
+            yield view.mask, folder / MASKS / f"{view.name}.png"
         if view.depth:
-            yield view.depth, folder / DEPTH / native(f"{view.name}{view.depth.suffix}")
+            yield view.depth, folder / DEPTH / f"{view.name}{view.depth.suffix}"
 
 
 def link_again(folder: Path, views: Iterable[View]) -> None:

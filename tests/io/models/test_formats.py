@@ -324,20 +324,6 @@ def test_every_format_is_tested():
     assert set(SUFFIXES) == set(BOUNDS) | set(POINTS) == set(FORMATS)
 
 
-def test_a_layer_of_a_laz_that_is_longer_than_its_chunk(tmp_path):
-    """lazrs would read it without end."""
-    pytest.importorskip("laspy", reason="laspy is an extra: pip install '.[geo]'")
-    path = tmp_path / "a.laz"
-    write_model(path, model(9))
-    data = bytearray(path.read_bytes())
-    begin, = struct.unpack_from("<I", data, 96)
-    for place in (8 + 36 + 4 + 4, 8 + 36):
-        damaged = bytearray(data)
-        struct.pack_into("<I", damaged, begin + place, (1 << 31) - 1)
-        path.write_bytes(damaged)
-        refused_in_little_memory(path, "a chunk of its points is larger than the file")
-
-
 def test_words_of_a_compressed_ply(tmp_path):
     """Positions and scales have 11, 10 and 11 bits, the first in the most significant ones."""
     gaussians = model(3, 0)

@@ -26,7 +26,7 @@ from clsplat.io.georeference.crs import has_pyproj, is_local, project_crs
 from clsplat.io.photos.images import image_size
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
-from clsplat.io.regular import native, read_regular
+from clsplat.io.regular import read_regular
 from clsplat.io.scenes.projects.opf_points import read_points
 from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
 from clsplat.io.scenes.projects.scene import (
@@ -96,7 +96,7 @@ class _Project:
 
     def paths(self, form: str, item: str = "") -> list[Path]:
         """The files of a format, in items of a type."""
-        return [self.folder / native(_path_of(resource.get("uri"))) for each in self.items
+        return [self.folder / _path_of(resource.get("uri")) for each in self.items
                 if item in ("", each.get("type")) for resource in _objects(each, "resources")
                 if resource.get("format") == form]
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
-from clsplat.io.regular import native, open_regular, read_regular
+from clsplat.io.regular import open_regular, read_regular
 from clsplat.io.scenes.projects.scene import ProjectPoints, numbers
 
 FLOAT, UINT, UBYTE = 5126, 5125, 5121  # glTF's numbers of component types
@@ -105,7 +105,7 @@ class _Gltf:
         uri = buffer.get("uri")
         if not isinstance(uri, str) or "\0" in unquote(uri) or uri.startswith("data:"):
             raise ValueError("a buffer is not in a file")
-        path = self.folder / native(unquote(uri))
+        path = self.folder / unquote(uri)
         with open_regular(path) as file:
             if begin + size > file.seek(0, 2):
                 raise ValueError(f"{path.name[:80]} is cut short")

@@ -9,7 +9,6 @@ from pathlib import Path, PurePosixPath
 
 from clsplat.errors import InputError
 from clsplat.io.reason import MOST_CHARACTERS
-from clsplat.io.regular import in_unicode, native
 from clsplat.io.scenes.checks import CONTROL
 from clsplat.io.scenes.sources import PHOTO_SUFFIXES, photo_folder
 
@@ -53,11 +52,11 @@ class PhotoFiles:
             raise ValueError("the name of a photo is not valid text")
         parts = self._parts(name)
         path = self._existing(parts, name, base) or self._below(parts)
-        path = path or self.folder / native(parts[-1])
+        path = path or self.folder / parts[-1]
         # what is named ../other/a.jpg is not below the folder
         place, folder = (Path(os.path.normpath(each)) for each in (path, self.folder))
         if place.is_relative_to(folder):
-            return in_unicode(place.relative_to(folder)), path
+            return place.relative_to(folder).as_posix(), path
         names = ("/".join(parts[number:]) for number in reversed(range(len(parts))))
         return next((short for short in names
                      if self._outside.setdefault(short, path) == path), name), path
@@ -72,10 +71,10 @@ class PhotoFiles:
 
     def _existing(self, parts: list[str], name: str, base: Path | None) -> Path | None:
         """The file at the path itself, or at its end below the folder of photos."""
-        places = [self.folder.joinpath(*map(native, parts[number:]))
+        places = [self.folder.joinpath(*parts[number:])
                   for number in range(len(parts))]
         if not self._given:  # a folder that the user gives holds all photos
-            stored = Path(native(name.removeprefix(SCHEME)))
+            stored = Path(name.removeprefix(SCHEME))
             places += [base / stored if base else stored, stored]
         return next((place for place in places if os.path.isfile(place)), None)
 
