@@ -36,7 +36,7 @@ LAYERS = (
     {"evaluation"},
     {"report"},
     {"training"},
-    {"estimate", "edit", "distribute"},
+    {"estimate", "edit"},
     {"export"},
     {"city", "view"},
     {"api"},
@@ -62,8 +62,8 @@ WALLS = {
     "onnxruntime": ("clsplat/evaluation/lpips.py",),
     "click": ("clsplat/cli/",),
     "skimage": ("clsplat/io/", "clsplat/evaluation/"),
-    "dask": ("clsplat/distribute/", "tools/studies/simulate.py"),
-    "distributed": ("clsplat/distribute/", "tools/studies/simulate.py"),
+    "dask": ("clsplat/city/cluster.py",),
+    "distributed": ("clsplat/city/cluster.py",),
     "matplotlib": ("clsplat/report/", "tools/"),
     "tests": (),  # the wheel carries clsplat/, not the tests
 }
@@ -72,7 +72,7 @@ WALLS = {
 FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None, "clsplat/io/": {
                         "laspy", "lazrs", "pycolmap", "OpenImageIO", "pyproj", "zstandard"},
                     "clsplat/evaluation/": {"OpenImageIO", "onnxruntime"},
-                    "clsplat/distribute/": {"distributed"}}  # an extra, seldom asked for
+                    "clsplat/city/cluster.py": {"distributed"}}  # an extra, seldom asked for
 
 # what is composed of the options of all rooms: lower rooms may name its type, and no more
 COMPOSED = {"options", "partition"}

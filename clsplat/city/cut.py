@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.city.block import decided_by, options_of_blocks
 from clsplat.city.dense import counted_where, dense_gaussians
+from clsplat.city.exchange import exchange_steps, most_exchanges
 from clsplat.city.visibility import DropTest
 from clsplat.config.option import differences, plain
 from clsplat.device import Device
@@ -32,8 +34,6 @@ from clsplat.partition.windows import find_windows, owned_shares
 from clsplat.report.map import write_map
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
-from clsplat.training.block import decided_by, options_of_blocks
-from clsplat.training.exchange import exchange_steps, most_exchanges
 from clsplat.training.facts import scene_facts, smallest_size
 from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import THREADS
@@ -71,7 +71,6 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     facts = scene_facts(scene, [scene.views[index] for index in views])
     one_run, _, _ = worthwhile_steps(options, facts, len(views))
     if city.has_partition:
-        city.adopt()
         partition = city.partition(scene)
         if partition_options:
             _check_same(city, partition_options)

@@ -1,28 +1,21 @@
 """The gaussians at dense points with which one run of the whole scene would begin.
 
-Blocks begin with those of them that stand in gaps of the coarse model (partition/blocks.py).
-
-    python -m clsplat.city.dense CITY
-
-finds them; a city with several workers has this done by one of them during its coarse run.
+Blocks begin with those of them that stand in gaps of the coarse model (partition/blocks.py). A city
+with several workers has them found by one of these during its coarse run.
 """
 
 import shutil
-import sys
-import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from clsplat.city.jobs import Job, never
 from clsplat.city.stages import begin_from_coarse
+from clsplat.city.workers import Workers
 from clsplat.device import Device
-from clsplat.distribute import Children, Task
-from clsplat.distribute.task import DONE
 from clsplat.gaussians import Gaussians
 from clsplat.io.folders import make_folder
 from clsplat.io.models.ply import read_ply, write_ply
@@ -31,14 +24,23 @@ from clsplat.io.photos.undistort import undistorted
 from clsplat.io.runs.city import CityFolder
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
-from clsplat.training.block import device_of_tasks
 from clsplat.training.dense_start import first_gaussians
 from clsplat.training.photos import THREADS
 from clsplat.training.prepare import prepare
 from clsplat.training.progress import SilentProgress
 
-FOLDER = "start"  # of the child's task, in the city's folder meanwhile
-TRIED = "tried"  # its file, which is there after success, with dense points or without
+FOLDER = "start"  # of the job's log, in the city's folder meanwhile
+
+
+@dataclass(frozen=True)
+class DenseJob(Job):
+    """`find_dense_gaussians` for the city in whose folder the job's folder is."""
+
+    def run(self, device: Device, progress: SilentProgress | None = None,
+            stopping: Callable[[], bool] = never) -> None:
+        """Find them."""
+        city = CityFolder(self.folder.parent)
+        find_dense_gaussians(city, *begin_from_coarse(city), device, progress)
 
 
 def find_dense_gaussians(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
@@ -70,38 +72,34 @@ def find_dense_gaussians(city: CityFolder, scene: Scene, options: TrainOptions, 
               sphere=True)
 
 
-@contextmanager
-def found_beside(city: CityFolder, scene: Scene, options: TrainOptions, children: Children | None
-                 ) -> Iterator[Callable[[], bool]]:
-    """Have a child do the work of `find_dense_gaussians` while the block does other work.
+def found_beside(city: CityFolder, scene: Scene, options: TrainOptions, workers: Workers
+                 ) -> Callable[[], bool]:
+    """Have a worker do the work of `find_dense_gaussians` while this process does other work.
 
     Parameters
     ----------
     city : its folder, with its record.
     scene, options : the whole.
-    children : of which one does it; None: nothing is done.
+    workers : of this machine.
 
-    Yields
-    ------
-    A function that waits for the child, and returns whether it succeeded; else the work is left.
+    Returns
+    -------
+    A function that waits for the worker, and returns whether it succeeded; else the work is left.
     """
-    if children is None or city.has_partition or city.dense.is_file():
-        yield lambda: False
-        return
-    # else the child and the coarse run would both write the undistorted photos
+    if city.has_partition or city.dense.is_file():
+        return lambda: False
+    # else the worker and the coarse run would both write the undistorted photos
     undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
-    folder, stopping = city.path / FOLDER, threading.Event()
-    shutil.rmtree(folder, ignore_errors=True)
+    folder = city.path.resolve() / FOLDER
     make_folder(folder)
-    task = Task("dense points", (str(city.path.resolve()),), folder / TRIED)
-    with ThreadPoolExecutor(1) as beside:
-        result = beside.submit(children.work, task, "clsplat.city.dense", stopping.is_set)
-        try:
-            yield lambda: result.result().ending == DONE
-        finally:
-            stopping.set()  # where the other work was interrupted, so is the child
-            result.exception()  # waits
-            shutil.rmtree(folder, ignore_errors=True)
+    future = workers.beside(DenseJob("dense points", folder, options.device, options.form))
+
+    def found() -> bool:
+        succeeded = future.exception() is None
+        shutil.rmtree(folder, ignore_errors=True)
+        return succeeded
+
+    return found
 
 
 def dense_gaussians(city: CityFolder, scene: Scene, sh_degree: int) -> Gaussians | None:
@@ -128,16 +126,3 @@ def counted_where(coarse: Gaussians, dense: Gaussians | None) -> NDArray[np.floa
         _, nearest = tree.query(dense.positions, workers=-1)
         counts += np.bincount(nearest, minlength=coarse.count)
     return counts
-
-
-def main(folder: str) -> None:
-    """Find them for CITY, on the device that CLSPLAT_DEVICE names, else on that of the city."""
-    city = CityFolder(folder)
-    scene, options = begin_from_coarse(city)
-    device = device_of_tasks(options.device, options.form)
-    find_dense_gaussians(city, scene, options, device)
-    (city.path / FOLDER / TRIED).touch()
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

@@ -18,9 +18,9 @@ from clsplat.city.scoring import reference_model, score_in_shares, views_of
 from clsplat.city.seams import find_seams
 from clsplat.city.stages import COARSE_FACTOR
 from clsplat.city.tree import merge_tree
+from clsplat.city.workers import Workers
 from clsplat.device import Device
-from clsplat.distribute import ONE_WORKER, Workers
-from clsplat.errors import TOO_LARGE, DeviceError, InputError
+from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import (
     evaluate_run,
@@ -46,10 +46,14 @@ log = logging.getLogger(__name__)
 SPENT = ("iteration", "train_seconds", "wall_seconds")
 
 
-def reference_file(against: Path | None) -> Path | None:
-    """The PLY of `--against`, which is a finished run or a PLY file; InputError for others."""
+def reference_file(against: Path | None, tree: bool) -> Path | None:
+    """The PLY of `--against`, which is a finished run or a PLY file; InputError for others, and
+    with a tree, of which nothing is evaluated."""
     if against is None:
         return None
+    if tree:
+        raise InputError("--against: has no effect with --tree, which measures no seams; leave one "
+                         "of them out")
     path = RunFolder(against).model_path if against.is_dir() else against
     if not path.is_file():
         raise InputError(f"--against {against}: " + (
@@ -91,7 +95,7 @@ def merged_city(city: CityFolder, scene: Scene, options: TrainOptions, device: D
     merged.check()
     run = RunFolder(city.path)
     with ThreadPoolExecutor(1) as beside:  # while the device is busy
-        levels = beside.submit(_write_levels, city, scene)
+        levels = beside.submit(write_levels, city, scene)
         if joint:
             merged = _trained_jointly(city, scene, options, device, merged, progress)
         (run.path / TREE).unlink(missing_ok=True)
@@ -108,10 +112,9 @@ def _trained_jointly(city: CityFolder, scene: Scene, options: TrainOptions, devi
     """The model after its joint training, or as it was merged where the device cannot hold it."""
     try:
         return train_jointly(city, scene, options, merged, device, progress)
-    except DeviceError as error:
-        if TOO_LARGE not in str(error):
-            raise
-        log.warning("%s: there is no joint training, as the whole model %s", city.path, TOO_LARGE)
+    except OutOfDeviceMemory:
+        log.warning("%s: there is no joint training, as the whole model does not fit the device",
+                    city.path)
         shutil.rmtree(city.joint, ignore_errors=True)
         return merged
 
@@ -150,7 +153,7 @@ def _note_merge(city: CityFolder, scene: Scene, options: TrainOptions, device: D
         run.save_exposures(responses)
 
 
-def _write_levels(city: CityFolder, scene: Scene) -> None:
+def write_levels(city: CityFolder, scene: Scene) -> None:
     """Write the levels of detail of the whole: those of the coarse run, and of its blocks."""
     keep_coarse_levels(city, scene)
     merge_levels(city, scene)
@@ -166,7 +169,7 @@ def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:
 
 
 def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merged: Merged,
-                  against: Path | None = None, workers: Workers = ONE_WORKER
+                  against: Path | None, workers: Workers
                   ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """Score the merged model on the held-out views, measure its seams, and write the report.
 
@@ -194,13 +197,11 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     with ThreadPoolExecutor(1) as beside:  # while the workers render
         floaters = (beside.submit(known_floaters, run, scene, merged.gaussians).result if held_out
                     else None)
-        scored = score_in_shares(city, against, views, workers)
-        if workers.children:
-            workers.children.end()
+        scored = score_in_shares(city, options, against, views, workers)
         if held_out:
             scores = evaluate_run(run, device, save_images=False,
                                   metrics=final_metrics(options.lpips),
-                                  per_view=scored.per_view if scored else None,
+                                  per_view=list(scored.per_view.values()) if scored else None,
                                   gaussians=merged.gaussians, floaters=floaters)
     if scores:
         run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()

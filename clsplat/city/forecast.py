@@ -5,6 +5,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from clsplat.city.block import block_options
 from clsplat.device import Device
 from clsplat.estimate.forecast import MIB, Forecast, Planned
 from clsplat.estimate.measured import LEAST_STEPS, MeasuredSteps
@@ -19,7 +20,6 @@ from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, PartitionOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
-from clsplat.training.block import block_options
 from clsplat.training.facts import scene_facts
 
 GIB = 2**30

@@ -18,7 +18,7 @@ seam_db         PSNR that the merged model lacks in the strip: its gain over the
 """
 
 import functools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,35 +118,14 @@ class Strips:
     shown: list[list[Shown]]
     errors: list[list[tuple[int, NDArray[np.float64]]]]
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """All of it as arrays, for a file."""
-        shown = [(border, view, len(pixels)) for border, seen in enumerate(self.shown)
-                 for _, view, pixels in seen]
-        errors = [(border, view) for border, parts in enumerate(self.errors) for view, _ in parts]
-        return {"borders": np.array(len(self.shown)),
-                "shown": np.array(shown, np.int64).reshape(-1, 3),
-                "pixels": np.concatenate([np.empty(0, np.int64), *(
-                    pixels for seen in self.shown for _, _, pixels in seen)]),
-                "of_errors": np.array(errors, np.int64).reshape(-1, 2),
-                "errors": np.array([sums for parts in self.errors for _, sums in parts]
-                                   ).reshape(-1, 2, 3)}
-
     @classmethod
-    def joined(cls, parts: Iterable[Mapping[str, NDArray[Any]]]) -> "Strips":
-        """The Strips of all views from the `arrays` of some of the views each."""
-        parts = list(parts)
-        count = int(parts[0]["borders"])
-        shown: list[list[Shown]] = [[] for _ in range(count)]
-        errors: list[list[tuple[int, NDArray[np.float64]]]] = [[] for _ in range(count + 1)]
-        for part in parts:
-            begin = 0
-            for border, view, length in part["shown"].tolist():
-                shown[border].append((length, view, part["pixels"][begin:begin + length]))
-                begin += length
-            for (border, view), sums in zip(part["of_errors"].tolist(), part["errors"]):
-                errors[border].append((view, sums))
-        return cls([_most(seen) for seen in shown],
-                   [sorted(each, key=lambda error: error[0]) for each in errors])
+    def joined(cls, parts: Sequence["Strips"]) -> "Strips":
+        """The Strips of all views from those of some of the views each."""
+        return cls([_most([each for part in parts for each in part.shown[border]])
+                    for border in range(len(parts[0].shown))],
+                   [sorted((each for part in parts for each in part.errors[border]),
+                           key=lambda error: error[0])
+                    for border in range(len(parts[0].errors))])
 
 
 def _most(seen: list[Shown]) -> list[Shown]:

@@ -8,10 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clsplat.city import blocks, cut, dense, forecast, scoring, stages
-from clsplat.cli.city import partition_options
+from clsplat.city import block as block_module
+from clsplat.city import cut, forecast, run, scoring, stages
+from clsplat.city.run import chosen_partition
 from clsplat.cli.main import main
-from clsplat.errors import TOO_LARGE, DeviceError, InputError
+from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.io.models.ply import read_ply
 from clsplat.io.photos.images import read_image
 from clsplat.io.runs.city import CityFolder
@@ -95,15 +96,48 @@ def test_the_folder_is_a_run_like_any_other(made):
     (f"{DEVICE},{DEVICE}", ("--joint-steps", "none"), True), (DEVICE, (), False),
     (DEVICE, ("--joint-steps", "0.5"), True)])
 def test_who_finds_dense_points(tmp_path, monkeypatch, devices, flags, beside):
-    """A child does beside the coarse run, where another device is free, or the city is small."""
-    def stop(_city, _scene, _options, children):
-        given.append(children)
+    """A worker does beside the coarse run if another device is free, or the city is small."""
+    def asked(*_):
+        given.append(True)
+        return lambda: False
+
+    def stop(*_):
         raise InputError("enough")
 
     given = []
-    monkeypatch.setattr(dense, "found_beside", stop)
+    monkeypatch.setattr(run.Workers, "start", lambda *_: None)
+    monkeypatch.setattr(run, "found_beside", asked)
+    monkeypatch.setattr(run, "train_coarse", stop)
     city(tmp_path / "city", "--workers", "2", "--device", devices, *flags, code=2)
-    assert [children is not None for children in given] == [beside]
+    assert bool(given) == beside
+
+
+def a_card(memory, is_cpu=False):
+    return SimpleNamespace(name="a card", is_cpu=is_cpu, real=np.dtype(np.float32),
+                           handle=SimpleNamespace(global_mem_size=memory))
+
+
+def test_large_blocks_have_the_gpu_to_themselves(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    scene = read_scene(CITY)
+
+    def chosen(given, memory=2**36, *numbers, is_cpu=False, **changes):
+        return chosen_partition(given, scene, resolve({}, changes), a_card(memory, is_cpu),
+                                CityFolder(tmp_path), *numbers or (None,))
+
+    assert chosen({"grid": (2, 2)}).workers == 4
+    assert chosen({"grid": (2, 2)}, is_cpu=True).workers == 1
+    # with margins 2.56 times as many gaussians as this
+    assert chosen({"grid": (2, 2)}, schedule="mcmc", max_gaussians=8_000_000).workers == 2
+    assert chosen({"grid": (3, 1)}).workers == 3
+    assert chosen({}).workers == 1 and not chosen({}).several
+    assert chosen({"grid": (2, 2)}, 2**36, 1).workers == 1
+    assert chosen({"grid": (3, 3)}, 2**36, None, 2).workers == 8
+    assert chosen({}, 2**36, None, 2).least_blocks == 2, "one for each device"
+    small = chosen({}, 2**22)  # a device that is full with one block
+    assert small.several and small.workers == 1
+    monkeypatch.setattr(os, "cpu_count", lambda: 11)
+    assert chosen({"grid": (2, 2)}).workers == 2
 
 
 def test_every_gaussian_is_owned_once(made):
@@ -198,9 +232,9 @@ def test_a_chosen_grid_has_a_block_a_worker(tmp_path):
     given = {"margin": 0.1, "threshold": 0.1, "least_views": 3, "block_gaussians": 10**9}
     scene, options, folder = read_scene(CITY), resolve({}, {}), CityFolder(tmp_path)
     for workers, grid in ((1, 1), (2, 2), (6, 6)):
-        wanted = partition_options(given, scene, options, DEVICE_OF_1_GIB, folder, workers)
+        wanted = chosen_partition(given, scene, options, DEVICE_OF_1_GIB, folder, workers)
         assert len(make_partition(scene, wanted).regions) == grid
-    assert partition_options(given, scene, options, DEVICE_OF_1_GIB, folder).least_blocks == 1
+    assert chosen_partition(given, scene, options, DEVICE_OF_1_GIB, folder).least_blocks == 1
 
 
 def test_the_steps_of_all_blocks_are_an_option(copy):
@@ -288,34 +322,16 @@ def test_a_starving_grid_and_empty_bounds_are_refused(copy, capsys):
 
 
 @pytest.mark.slow
-def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch):
-    shutil.rmtree(copy.block(0).run)
-    real, refused = blocks.train_block, []
+def test_a_block_that_does_not_fit_its_device_is_named(copy, monkeypatch, capsys):
+    def train_block(*_):
+        raise OutOfDeviceMemory("a small device: no memory for 1 MiB more")
 
-    def train_block(block, options, progress, **rest):
-        if block.read()["number"] == 0 and not refused:
-            refused.append(block.read()["own"])
-            raise DeviceError(f"a small device: {TOO_LARGE}: no memory for 1 MiB more")
-        return real(block, options, progress, **rest)
-
-    monkeypatch.setattr(blocks, "train_block", train_block)
-    other = (copy.block(1).run / "point_cloud.ply").stat().st_mtime_ns
-
-    def killed(there):  # between the new partition and the folders that it changes
-        if "replaces" in there.read_partition():
-            raise SystemExit(9)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(CityFolder, "adopt", killed)
-        city(copy.path, code=9)
-    city(copy.path)
-    assert (copy.block(1).run / "point_cloud.ply").stat().st_mtime_ns == other
-    partition = copy.partition()
-    assert len(partition.regions) == 3 and "cut in two" in partition.notes[-1]
-    records = {block.read()["number"]: block.read() for block in copy.blocks()}
-    halves = records[0]["own"], records[2]["own"]
-    assert sum(halves) == refused[0] and abs(halves[0] - halves[1]) <= 1
-    assert RunFolder.open(copy.path).read_options()["blocks"] == 3
+    shutil.rmtree(copy.block(1).run)
+    monkeypatch.setattr(block_module, "train_block", train_block)
+    city(copy.path, code=2)
+    error = capsys.readouterr().err
+    assert "block 001 failed on this machine: a small device: no memory for 1 MiB more; " in error
+    assert "--block-gaussians" in error and "1 of 2 blocks cannot be merged" in error
 
 
 @pytest.mark.slow
@@ -346,7 +362,7 @@ def test_two_workers_end_in_the_same(copy, monkeypatch):
         shutil.rmtree(block.run)
     joined = scoring.joined
     monkeypatch.setattr(scoring, "LEAST_PIXELS", 1)
-    monkeypatch.setattr(scoring, "joined", lambda files: shares.extend(files) or joined(files))
+    monkeypatch.setattr(scoring, "joined", lambda given: shares.extend(given) or joined(given))
     city(copy.path, "--workers", "2")
     assert model(copy) == before
     assert len(shares) == 2 and len(scored) == 2 and scores() == scored
@@ -355,7 +371,7 @@ def test_two_workers_end_in_the_same(copy, monkeypatch):
 
 def test_responses_of_the_coarse_run_reach_the_blocks(tmp_path, monkeypatch):
     folder, table = CityFolder(tmp_path), forecast.block_table
-    monkeypatch.setattr(forecast, "block_table",  # no steps are timed
+    monkeypatch.setattr(run, "block_table",  # no steps are timed
                         lambda city, _, counts: table(city, None, counts))
     command("train", CITY, "--coarse", "-n", "12", "-r", "8", "--sh-degree", "0", "--exposure",
             "on", "--device", DEVICE, "-q", "-o", folder.coarse)

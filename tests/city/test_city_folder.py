@@ -10,6 +10,7 @@ import numpy as np
 import pycolmap
 import pytest
 
+from clsplat.city.block import options_of_blocks
 from clsplat.city.cut import surroundings_of
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -19,13 +20,12 @@ from clsplat.io.photos.depth import read_depth, with_depths
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.views import read_valid
 from clsplat.io.runs import city as module
-from clsplat.io.runs.city import OTHERS, BlockFolder, CityFolder, attached
+from clsplat.io.runs.city import BlockFolder, CityFolder, attached
 from clsplat.io.scenes import write
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.region import Region, Space
 from clsplat.response import Response
-from clsplat.training.block import options_of_blocks
 from clsplat.training.initialise import surrounding_gaussians
 from tests.data.tiny_training import CITY
 
@@ -198,8 +198,6 @@ def test_a_block_that_is_there_is_left_alone(city, scene, gaussians):
     before = block.initial.stat().st_mtime_ns
     assert written(city, scene, gaussians).path == block.path
     assert block.initial.stat().st_mtime_ns == before and (block.path / "run").exists()
-    written(city, scene, gaussians, **{OTHERS: [1, 2]})  # another block was cut in two
-    assert block.others == [1, 2] and block.initial.stat().st_mtime_ns == before
     city.write_partition({"method": "another"})
     with pytest.raises(InputError, match="holds a block of another partition"):
         written(city, scene, gaussians)

@@ -1,6 +1,5 @@
 """Dense points of a city: when they are found, and that its blocks begin with them."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +13,8 @@ from clsplat.city.dense import (
     found_beside,
 )
 from clsplat.city.stages import begin
-from clsplat.distribute import Children
-from clsplat.errors import InputError, Interrupted
+from clsplat.city.workers import Workers
+from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply
 from clsplat.io.runs.city import CityFolder
@@ -80,8 +79,8 @@ def test_a_child_does_the_same_beside_other_work(folder, item_device, monkeypatc
                            "device": item_device.handle.name})
     begin(folder, whole, options)
     monkeypatch.delenv("CLSPLAT_DEVICE", raising=False)
-    with Children(1) as children, found_beside(folder, whole, options, children) as found:
-        assert found()
+    with Workers(2) as workers:
+        assert found_beside(folder, whole, options, workers)()
     assert folder.dense.exists() == (options.init == "dense")
     assert not (folder.path / dense.FOLDER).exists()
     if folder.dense.exists():
@@ -93,34 +92,14 @@ def test_a_child_does_the_same_beside_other_work(folder, item_device, monkeypatc
 
 @pytest.mark.slow
 def test_what_a_child_cannot_do_is_left(folder, scene):
-    with Children(1) as children, found_beside(
-            folder, scene, resolve({}, LONG), children) as found:
-        assert not found()  # the folder has no record of a city
+    with Workers(2) as workers:  # the folder has no record of a city
+        assert not found_beside(folder, scene, resolve({}, LONG), workers)()
     assert list(folder.path.iterdir()) == []
 
 
-def test_no_child_is_asked_for_what_is_there_or_where_there_is_none(folder, scene, monkeypatch):
-    monkeypatch.setattr(Children, "work", None)
-    with found_beside(folder, scene, resolve({}, LONG), None) as found:
-        assert not found()
+def test_no_child_is_asked_for_what_is_there(folder, scene):
     folder.dense.touch()
-    with found_beside(folder, scene, resolve({}, LONG), Children(1)) as found:
-        assert not found()
-
-
-def test_the_child_is_stopped_where_the_other_work_is_interrupted(folder, scene, monkeypatch):
-    def work(self, task, program, stopping):
-        for _ in range(500):
-            if stopping():
-                stopped.append(task.name)
-                return
-            time.sleep(0.01)
-
-    stopped = []
-    monkeypatch.setattr(Children, "work", work)
-    with pytest.raises(Interrupted), found_beside(folder, scene, resolve({}, LONG), Children(1)):
-        raise Interrupted("Ctrl-C")
-    assert stopped == ["dense points"] and list(folder.path.iterdir()) == []
+    assert not found_beside(folder, scene, resolve({}, LONG), None)()
 
 
 def test_they_count_where_the_nearest_coarse_gaussian_stands():

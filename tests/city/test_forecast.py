@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import clsplat.city.forecast as forecast_module
-import clsplat.cli.city as city_module
+import clsplat.city.run as city_module
 from clsplat.camera import Camera
 from clsplat.city.forecast import (
     PIXELS_PER_GAUSSIAN,
@@ -20,7 +20,7 @@ from clsplat.city.forecast import (
     one_block_note,
     scale_table,
 )
-from clsplat.cli.city import partition_options
+from clsplat.city.run import chosen_partition
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.estimate.measured import MeasuredSteps
@@ -31,7 +31,7 @@ from clsplat.options import resolve
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
-from tests.city.test_sharing import a_card
+from tests.city.test_city import a_card
 from tests.data.tiny_training import CITY
 
 
@@ -57,7 +57,7 @@ def test_blocks_that_share_a_device_fit_it_together(tmp_path):
         global_mem_size=2**36))
 
     def largest(*given):
-        return partition_options({}, scene, options, device, CityFolder(tmp_path),
+        return chosen_partition({}, scene, options, device, CityFolder(tmp_path),
                                  *given).block_gaussians
 
     assert largest() == largest(2, 2) == largest(1, 4) == gaussians_that_fit(device, options)
@@ -78,7 +78,7 @@ def test_workers_share_the_devices_that_are_named(tmp_path, monkeypatch, flags, 
         assert given[5:7] == numbers
         raise InputError("noted")
 
-    monkeypatch.setattr(city_module, "partition_options", noted)
+    monkeypatch.setattr(city_module, "chosen_partition", noted)
     with pytest.raises(SystemExit) as ended:
         main(["city", str(CITY), "-o", str(tmp_path / "city"), "-q", *flags])
     assert ended.value.code == 2 and not (tmp_path / "city").exists()

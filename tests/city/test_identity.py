@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
+from clsplat.city.exchange import Part
 from clsplat.city.joint import begin_with, train_jointly
 from clsplat.city.merge import merge
 from clsplat.cli.main import main
@@ -18,7 +19,6 @@ from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
-from clsplat.training.exchange import Part
 from tests.data.tiny_training import CITY
 
 INF = np.inf

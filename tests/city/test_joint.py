@@ -15,10 +15,10 @@ from clsplat.city.cut import JOINT
 from clsplat.city.finish import merged_city
 from clsplat.city.joint import begin_with, joint_options, train_jointly
 from clsplat.city.merge import Merged
+from clsplat.city.run import chosen_partition
 from clsplat.city.stages import train_coarse
-from clsplat.cli.city import partition_options
 from clsplat.device import choose_device
-from clsplat.errors import TOO_LARGE, DeviceError, InputError, Interrupted
+from clsplat.errors import DeviceError, InputError, Interrupted, OutOfDeviceMemory
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run
 from clsplat.io.models.ply import read_ply, write_ply
@@ -41,7 +41,7 @@ LARGE, SMALL = (SimpleNamespace(real=np.dtype(np.float32), handle=SimpleNamespac
 def steps(folder, device=LARGE, given=(), tree=False, **options):
     """(Joint steps, exchanges, block steps) of a city in 2x1 blocks."""
     scene = read_scene(CITY)
-    chosen = partition_options({"grid": (2, 1), **dict(given)}, scene, resolve({}, options), device,
+    chosen = chosen_partition({"grid": (2, 1), **dict(given)}, scene, resolve({}, options), device,
                                CityFolder(folder), tree=tree)
     return chosen.joint_steps, chosen.exchanges, chosen.block_steps
 
@@ -166,17 +166,17 @@ def test_damaged_options_are_named(folder, given, cause):
         joint_options(folder, given, resolve({}, {}), 9)
 
 
-@pytest.mark.parametrize("message, code", [(TOO_LARGE, None), ("another", DeviceError)])
+@pytest.mark.parametrize("error", [OutOfDeviceMemory, DeviceError])
 def test_a_device_that_cannot_hold_the_whole_leaves_it_as_merged(
-        folder, merged, monkeypatch, caplog, message, code):
+        folder, merged, monkeypatch, caplog, error):
     def fails(*_):
-        raise DeviceError(f"a card: {message}: no memory")
+        raise error("a card: no memory")
 
     monkeypatch.setattr(finish, "train_jointly", fails)
     blocks = Merged(merged, (), {}, folder.path)
     given = folder, None, None, None, blocks, None
-    if code:
-        with pytest.raises(code):
+    if error is DeviceError:
+        with pytest.raises(error):
             finish._trained_jointly(*given)
         return
     assert finish._trained_jointly(*given) is blocks

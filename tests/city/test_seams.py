@@ -140,7 +140,7 @@ def report(device, scene, model, spoil=unspoilt, shares=0):
     counts = [piece.count for piece in pieces]
     merged, views = joined(pieces), scene.views
     parts = [inspect_views(device, partition, scene, views, OPTIONS, merged, reference,
-                           range(share, len(views), shares)).arrays() for share in range(shares)]
+                           range(share, len(views), shares)) for share in range(shares)]
     return find_seams(device, partition, scene, views, OPTIONS, merged, counts, reference,
                       lambda number: blocks[number], Strips.joined(parts) if parts else None)
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from clsplat.city import stages
+from clsplat.city.block import _check_same
 from clsplat.cli import campaign
 from clsplat.cli.train import resumed_options
 from clsplat.config.option import differences, plain
@@ -18,7 +19,6 @@ from clsplat.partition.make import METHODS
 from clsplat.partition.options import METHODS as NAMES
 from clsplat.partition.options import PartitionOptions
 from clsplat.report.groups import Trained, differing
-from clsplat.training.block import _check_same
 from clsplat.training.loop import resume, train
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, options_of, trained
 from tests.evaluation.test_lpips import NETWORK

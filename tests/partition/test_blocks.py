@@ -10,7 +10,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.partition.blocks import block_start, filled, largest_sizes, seen_pixels
 from clsplat.partition.region import Region, Space
 from clsplat.scene import Scene, View
-from tests.training.test_block import region_of
+from tests.city.test_block import region_of
 
 
 def test_shares_of_pixels_add_up(city):

@@ -21,8 +21,8 @@ from clsplat.training.initialise import initial_gaussians
 from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import Photos
 from clsplat.training.prepare import prepare
+from tests.city.test_block import region_of
 from tests.data.tiny_training import CITY, STILL, model_digest, options_of, resumed, trained
-from tests.training.test_block import region_of
 from tests.training.test_launches import of_a_replay
 
 SHORT = {"iterations": 60, "densify_from": 10, "densify_every": 10, "densify_until": 60,

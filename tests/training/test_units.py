@@ -11,8 +11,8 @@ from clsplat.training import growth, photos, rooms
 from clsplat.training.model import Model
 from clsplat.training.step import Step
 from clsplat.training.units import Unit, Units
+from tests.city.test_block import block_of
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
-from tests.training.test_block import block_of
 
 STEPS = {"iterations": 40, "densify_from": 10, "densify_every": 10, "densify_until": 40,
          "reset_every": 25, "sh_degree": 1, "sh_every": 15, "exposure": "on"}

@@ -17,7 +17,6 @@ there are not trained again. The machine should do nothing else, as their time c
     backdrops         --surroundings gaussians; backdrops-on: --surroundings layers
     exchanges         --exchanges 0 without the joint training; exchanges-on: 3 with it
     joint training    the column `joint` (--joint-steps none)
-    splitting         MOST_SPLITS 0: nothing changes unless a block does not fit the device
     sharing           --workers 1: nothing changes but the time
     levels            write_levels: no levels of detail; nothing changes but the time
 """
@@ -69,8 +68,7 @@ PATCHES: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
     "dense": ("clsplat.city.cut", "filled", without_dense),
     "visits": ("clsplat.city.cut", "visits_of_blocks", equal_visits),
     "thinning": ("clsplat.partition.blocks", "largest_sizes", unthinned),
-    "splitting": ("clsplat.city.blocks", "MOST_SPLITS", lambda _: 0),
-    "levels": ("clsplat.city.finish", "_write_levels", nothing),
+    "levels": ("clsplat.city.finish", "write_levels", nothing),
 }
 # mechanism -> flags; those that are of use with a joint training alone, or without one alone
 FLAGS = {"none": (), "backdrops": ("--surroundings", "gaussians"),

@@ -17,6 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from clsplat.city.block import block_options
+from clsplat.city.exchange import exchange, lacking_blocks, other_blocks, write_part
 from clsplat.errors import InputError
 from clsplat.evaluation.floaters import floater_share, ground_truth
 from clsplat.gaussians import Gaussians
@@ -25,8 +27,6 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.io.runs.scene_path import recorded_scene
 from clsplat.io.scenes.read import read_scene
 from clsplat.synth.geometry import sample
-from clsplat.training.block import block_options
-from clsplat.training.exchange import exchange, lacking_blocks, other_blocks, write_part
 from tools.studies.evidence import outermost
 
 AROUND = 0.05  # mean distance of gaussians from the surface, world units

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,6 @@ from clsplat.scene import Scene, View
 PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
 WINDOWS, VISITS = "windows", "visits"  # keys of region.json
 LAYERS = "layers"  # key of block.json: how many gaussians surroundings.ply has
-REPLACES = "replaces"  # key of partition.json: the previous partition, and the blocks that were cut
 EXCHANGES = "exchanges"  # key of block.json: after how many steps blocks exchange gaussians
 DENSE = "dense"  # key of block.json: how many gaussians begin at dense points
 OTHERS = "others"  # and: the numbers of the blocks with which it does so
@@ -107,14 +106,7 @@ class CityFolder:
     def read_partition(self) -> dict[str, Any]:
         """Read partition.json."""
         path, cure = self.path / PARTITION, f"make it with `clsplat partition {self.path}`"
-        record = _read(path, {}, cure)
-        replaces = record.get(REPLACES)
-        if replaces is not None and not (
-                isinstance(replaces, dict) and type(replaces.get("partition")) is str
-                and type(replaces.get("blocks")) is list):
-            raise InputError(f"{path}: damaged ({REPLACES} is {str(replaces)[:20]!r}); remove it, "
-                             f"and {cure}")
-        return record
+        return _read(path, {}, cure)
 
     def partition(self, scene: Scene | None = None) -> Partition:
         """The partition; InputError if it is damaged, or not of this whole scene."""
@@ -132,31 +124,6 @@ class CityFolder:
         `partition`, the SHA-256 of partition.json."""
         self.read_partition()
         return {"city": self.read()["fingerprint"], "partition": digest_of(self.path / PARTITION)}
-
-    def replace_partition(self, record: dict[str, Any], numbers: Iterable[int]) -> None:
-        """Write a partition that differs in the blocks of these numbers only: their folders are
-        removed, and the other blocks become those of the new partition. After a kill `adopt`
-        finishes this."""
-        self.write_partition({**record, REPLACES: {
-            "partition": self.identity()["partition"], "blocks": [int(n) for n in numbers]}})
-        self.adopt()
-
-    def adopt(self) -> None:
-        """Finish a `replace_partition` that was interrupted."""
-        replaces, identity = self.read_partition().get(REPLACES), self.identity()
-        if not replaces:
-            return
-        for block in self.blocks():
-            record = block.read()
-            if record["partition"] != replaces["partition"]:
-                continue
-            if record["number"] in replaces["blocks"]:
-                removed = block.path.with_name(block.path.name + PARTIAL)
-                shutil.rmtree(removed, ignore_errors=True)
-                os.rename(block.path, removed)
-                shutil.rmtree(removed, ignore_errors=True)
-            else:
-                write_object(block.path / BLOCK, {**record, **identity})
 
     def block(self, number: int) -> BlockFolder:
         """The folder of a block, whether it exists or not."""
@@ -197,12 +164,9 @@ class CityFolder:
         block = self.block(number)
         record = json.loads(json.dumps({"number": number, **identity, "options": options}))
         if block.is_there:
-            found = block.read()
-            if {**found, OTHERS: None} != {**record, OTHERS: None}:
+            if block.read() != record:
                 raise InputError(f"{block.path}: holds a block of another partition, or with other "
                                  "options; remove it, or choose another --output")
-            if found != record:  # another block was cut in two
-                write_object(block.path / BLOCK, record)
             link_again(block.path, [scene.views[index] for index in views])
             return block
         part = scene.part(views)

@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial import cKDTree
 
+from clsplat.city.block import decided_by, options_of_blocks
 from clsplat.cli.main import main
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply, write_ply
@@ -24,7 +25,6 @@ from clsplat.response import Response
 from clsplat.schedule import OURS
 from clsplat.schedule.constant import Constant
 from clsplat.training import growth
-from clsplat.training.block import decided_by, options_of_blocks
 from clsplat.training.parts.frozen_rows import FrozenRows
 from tests.data.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, trained
 

@@ -1,13 +1,15 @@
 """Trains one block of a larger scene from its folder, which contains all that it needs."""
 
-import os
-from dataclasses import replace
-from functools import lru_cache
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
+from clsplat.city.exchange import exchange, lacking_blocks, other_blocks, write_part
+from clsplat.city.jobs import Job, never
 from clsplat.config.option import differences
 from clsplat.device import Device, choose_device
-from clsplat.errors import InputError, Interrupted
+from clsplat.errors import InputError, Interrupted, StopTraining
+from clsplat.io.lock import LockTaken, latest_change
 from clsplat.io.runs.city import BlockFolder
 from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.read import read_scene
@@ -15,7 +17,6 @@ from clsplat.io.scenes.write import DEPTH
 from clsplat.options import EARLIER, TrainOptions, checked_values, resolve
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import Saved
-from clsplat.training.exchange import exchange, lacking_blocks, other_blocks, write_part
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
 from clsplat.training.progress import NotedProgress, SilentProgress
@@ -25,6 +26,40 @@ DECIDED = ("exposure", "vignetting", "sh_degree")
 BEFORE = "was finished before"
 MOST_NAMED = 5  # blocks in a message
 MAY_DIFFER = "init"  # a path in the block's folder, which may have been moved
+LOCK_SECONDS = 300  # for a process without a sign of work, which may be saving its state
+
+
+@dataclass(frozen=True)
+class BlockJob(Job):
+    """The training of a block, to its end or to an exchange.
+
+    Attributes
+    ----------
+    block : its folder.
+    until : the exchange, from 1, at which it stops once the block's part is written; 0: none.
+    alone : do without the exchanges that are left.
+    """
+
+    block: BlockFolder = BlockFolder("")
+    until: int = 0
+    alone: bool = False
+
+    def run(self, device: Device, progress: SilentProgress | None = None,
+            stopping: Callable[[], bool] = never) -> str:
+        """Train the block; returns its state, see `train_block`.
+
+        Another process that trains it is waited for as long as that works: a worker that the
+        scheduler has lost may finish the block.
+        """
+        self.block.check()
+        while True:
+            before = latest_change(self.folder)
+            try:
+                return train_block(self.block, block_options(self.block), progress, LOCK_SECONDS,
+                                   self.alone, device, self.until, stopping)
+            except LockTaken:
+                if latest_change(self.folder) == before:
+                    raise
 
 
 def decided_by(coarse: RunFolder) -> dict[str, Any]:
@@ -62,7 +97,8 @@ def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
 
 def train_block(block: BlockFolder, options: TrainOptions,
                 progress: SilentProgress | None = None, patience: float = 0.0,
-                alone: bool = False, device: Device | None = None, until: int = 0) -> str:
+                alone: bool = False, device: Device | None = None, until: int = 0,
+                stopping: Callable[[], bool] = never) -> str:
     """Train a block to its end, from the start or from the last checkpoint of its run.
 
     It stops before, where it exchanges gaussians with blocks that have not come as far.
@@ -74,8 +110,8 @@ def train_block(block: BlockFolder, options: TrainOptions,
     progress : receives steps, messages and phases.
     patience : seconds to wait for another process that trains the block.
     alone : do without the exchanges that are left.
-    device : None: it is opened as `options` say, and stays open in this process.
-    until : the exchange, from 1, at which it stops once the block's part is written; 0: none.
+    device : None: it is opened as `options` say.
+    until, stopping : see `BlockJob`.
 
     Returns
     -------
@@ -97,13 +133,13 @@ def train_block(block: BlockFolder, options: TrainOptions,
             _check_same(run, options)
         if run.is_finished:
             return BEFORE
-        device = device or opened(options.device, options.form)
+        device = device or choose_device(options.device, form=options.form)
         others = other_blocks(block) if exchanges else []
         scene = read_scene(block.path)
         saved: Saved | None = None  # what the latest exchange has made of the checkpoint
         for number, step in enumerate(exchanges, 1):
             if (taken := run.checkpoint_iteration()) <= step:
-                latest = (_go_on(block, scene, options, device, progress, step, saved)
+                latest = (_go_on(block, scene, options, device, progress, step, saved, stopping)
                           if taken < step else None)
                 write_part(block, scene, number, latest)
                 del latest  # it takes as much memory as the exchange that follows
@@ -116,24 +152,13 @@ def train_block(block: BlockFolder, options: TrainOptions,
                         f"{', '.join(lacking[:MOST_NAMED])}{' ...' * (len(lacking) > MOST_NAMED)} "
                         "too, then this block again")
             saved = exchange(block, scene, others, options, number, run)
-        _go_on(block, scene, options, device, progress, 0, saved)
+        _go_on(block, scene, options, device, progress, 0, saved, stopping)
     return "finished"
 
 
-def device_of_tasks(name: str, form: str) -> Device:
-    """The device of all tasks of this process, which stays open; arguments as for `opened`, but
-    CLSPLAT_DEVICE prevails, as in `clsplat block`."""
-    return opened(os.environ.get("CLSPLAT_DEVICE") or name, form)
-
-
-@lru_cache(maxsize=1)  # a process of `clsplat city` trains several parts of blocks
-def opened(name: str, form: str) -> Device:
-    """An open device, which stays open in this process; see `choose_device`."""
-    return choose_device(name, form=form)
-
-
 def _go_on(block: BlockFolder, scene: Scene, options: TrainOptions, device: Device,
-           progress: SilentProgress | None, until: int, saved: Saved | None) -> Saved | None:
+           progress: SilentProgress | None, until: int, saved: Saved | None,
+           stopping: Callable[[], bool]) -> Saved | None:
     """Train until a step, or to the end if that is 0, from what is saved, or else from the run's
     checkpoint or the start; other arguments as for `train_block`. Returns the checkpoint at that
     step, None at the end."""
@@ -143,19 +168,25 @@ def _go_on(block: BlockFolder, scene: Scene, options: TrainOptions, device: Devi
         block.check_own(block.around)
         scene = replace(scene, surroundings=block.around)
     stop_at = min(filter(None, (until, options.stop_at)), default=0)
-    stopping = replace(options, stop_at=stop_at)
+    changed = replace(options, stop_at=stop_at)
 
     def keep(written: Saved) -> None:
         if written[1]["iteration"] == until:
             latest.append(written)
 
+    def stop(_: dict[str, Any]) -> None:
+        if stopping():
+            raise StopTraining
+
     try:
         if run.is_begun:
-            resume(scene, stopping, device, run, noted, on_save=keep, saved=saved)
+            resume(scene, changed, device, run, noted, (stop,), on_save=keep, saved=saved)
         else:
-            train(scene, stopping, device, RunFolder.create(run.path), noted, on_save=keep)
+            train(scene, changed, device, RunFolder.create(run.path), noted, (stop,),
+                  on_save=keep)
     except Interrupted as stopped:
-        if not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at:
+        if (not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at
+                or stopping()):
             raise
     return latest[-1] if latest else None
 

@@ -9,30 +9,31 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from clsplat.city import block as training_block
 from clsplat.city import blocks, cut
-from clsplat.distribute import Workers
-from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians
-from clsplat.io.models.ply import read_ply
-from clsplat.io.npz import read_npz, write_npz
-from clsplat.io.runs.city import BLOCK, EXCHANGES, LAYERS, OTHERS, CityFolder
-from clsplat.io.runs.run import RunFolder
-from clsplat.io.scenes.read import fingerprint, read_scene
-from clsplat.options import resolve
-from clsplat.partition.blocks import block_start, trainable
-from clsplat.partition.partition import Partition
-from clsplat.partition.region import Region, Space
-from clsplat.training import block as training_block
-from clsplat.training import exchange as exchange_module
-from clsplat.training.block import block_options, train_block
-from clsplat.training.checkpoint import Checkpoint, gaussians_of
-from clsplat.training.exchange import (
+from clsplat.city import exchange as exchange_module
+from clsplat.city.block import block_options, train_block
+from clsplat.city.exchange import (
     exchange,
     exchange_steps,
     lacking_blocks,
     most_exchanges,
     other_blocks,
 )
+from clsplat.city.workers import Workers
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.models.ply import read_ply
+from clsplat.io.npz import read_npz, write_npz
+from clsplat.io.records import write_object
+from clsplat.io.runs.city import BLOCK, EXCHANGES, LAYERS, OTHERS, BlockFolder, CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
+from clsplat.options import resolve
+from clsplat.partition.blocks import block_start, trainable
+from clsplat.partition.partition import Partition
+from clsplat.partition.region import Region, Space
+from clsplat.training.checkpoint import Checkpoint, gaussians_of
 from tests.data.tiny_training import CITY, model_digest
 from tools.studies import host_work
 
@@ -232,35 +233,38 @@ def test_exchanges_lie_in_the_second_half():
 def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
         tmp_path, monkeypatch, fill):
     """Blocks 0, 1, 2 in a row, where the second part of block 1 fails."""
-    found = {n: SimpleNamespace(
-        path=tmp_path / f"00{n}", run=tmp_path / f"00{n}" / "run", exchanges=[100, 200],
-        others=others, part=lambda number, n=n: tmp_path / f"00{n}" / "run" / f"part_{number}")
-        for n, others in ((0, [1]), (1, [0, 2]), (2, [1]), (3, [2]))}
+    found = {n: BlockFolder(tmp_path / f"00{n}") for n in range(4)}
+    for n, others in ((0, [1]), (1, [0, 2]), (2, [1]), (3, [2])):
+        found[n].path.mkdir()
+        write_object(found[n].path / "block.json", {
+            "number": n, "city": "c", "partition": "p", "options": {"device": "gpu"},
+            EXCHANGES: [100, 200], OTHERS: others})
     city = SimpleNamespace(blocks=found.values, block=found.__getitem__)
     monkeypatch.setattr(blocks, "expected_work", lambda block: 1)
     ran = []
 
-    def train(task):
-        ran.append(task.name)
-        part = int(task.name.split()[2]) if "part" in task.name else 3
-        assert blocks.until_of(task) == part % 3  # the last part ends with the block
-        if task.name == "001 part 2 of 3":
+    def train(job):
+        ran.append(job.name)
+        if job.name == "001, part 2 of 3":
             raise InputError("no such photo")
-        task.done.touch()
+        assert job.alone == (len(ran) > 9) and job.device == "gpu"
+        assert f"part {job.until or 3} of 3" in job.name or job.alone
+        job.done.touch()
 
     engine = Workers.run
-    monkeypatch.setattr(Workers, "run", lambda workers, tasks, call, **named: engine(
-        workers, tasks, call=train, **named))
-    outcomes = {outcome.task.name: outcome for outcome in blocks.train_blocks(city, fill=fill)}
-    firsts = [f"00{n} part 1 of 3" for n in range(4)]
-    seconds = [f"00{n} part 2 of 3" for n in range(4)]
-    last = "003 part 3 of 3"  # needs the second parts of 2 and 3 only
+    monkeypatch.setattr(Workers, "run", lambda workers, jobs, here, *rest: engine(
+        workers, jobs, train, *rest))
+    outcomes = {outcome.job.block.path.name: outcome
+                for outcome in blocks.train_blocks(city, Workers(), None, fill=fill)}
+    firsts = [f"00{n}, part 1 of 3" for n in range(4)]
+    seconds = [f"00{n}, part 2 of 3" for n in range(4)]
+    last = "003, part 3 of 3"  # needs the second parts of 2 and 3 only
     assert ran[:9] == [*firsts, *seconds, last]
     assert ran[9:] == (["000", "002"] if fill else [])
     assert {name: outcome.ok for name, outcome in outcomes.items()} == {
         "000": True, "001": False, "002": True, "003": True}
-    assert outcomes["001"].message == "no such photo"
-    monkeypatch.setattr(Workers, "run", lambda workers, tasks, call, **named: engine(
-        workers, tasks, call=lambda task: task.done.touch(), **named))
-    assert all(outcome.ok for outcome in blocks.train_blocks(city))
+    assert str(outcomes["001"].error) == "no such photo"
+    monkeypatch.setattr(Workers, "run", lambda workers, jobs, here, *rest: engine(
+        workers, jobs, lambda job: job.done.touch(), *rest))
+    assert all(outcome.ok for outcome in blocks.train_blocks(city, Workers(), None))
     assert all((block.run / "point_cloud.ply").exists() for block in found.values())

@@ -1,0 +1,155 @@
+"""A job of a city: an object that is pickled, and that returns an object or raises an exception.
+
+A job may be started any number of times and continues where it stopped: what it trains has a lock
+that ends with its process.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing.util
+import os
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from clsplat.device import Device, choose_device
+from clsplat.errors import DeviceError, InputError
+from clsplat.io.lock import LockTaken, exclusive, latest_change
+from clsplat.training.progress import SilentProgress
+
+HERE = "this machine"
+HANG_SECONDS = 3600  # without a change in its job's folder, after which a worker ends itself
+GRACE_SECONDS = 120  # for an interrupted worker to save its state
+
+log = logging.getLogger(__name__)
+
+
+def never() -> bool:
+    """The answer of who never stops a job."""
+    return False
+
+
+@dataclass(frozen=True)
+class Job:
+    """A piece of the work on a city; a subclass has more fields, and `run`.
+
+    Attributes
+    ----------
+    name : differs from those of the other jobs of a run.
+    folder : where it writes, on a file system that all workers see.
+    device, form : of the worker's device, if CLSPLAT_DEVICE does not name it.
+    after : names of jobs that must be finished before this one begins.
+    done : a file that exists once the job is finished; None: the job is always run.
+    """
+
+    name: str
+    folder: Path
+    device: str = "auto"
+    form: str = "auto"
+    after: tuple[str, ...] = ()
+    done: Path | None = None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the job needs not be run."""
+        return self.done is not None and self.done.exists()
+
+    def run(self, device: Device, progress: SilentProgress | None = None,
+            stopping: Callable[[], bool] = never) -> Any:
+        """Do the work; the result is pickled.
+
+        Parameters
+        ----------
+        device : an open device.
+        progress : receives what is being done.
+        stopping : polled; once it returns true, the job saves its state and raises Interrupted.
+        """
+        raise NotImplementedError
+
+
+class Unfit(DeviceError):
+    """A worker cannot do a job that another may do."""
+
+
+class Lost(Exception):
+    """A worker has disappeared while it ran a job."""
+
+
+def line_of(error: BaseException) -> str:
+    """The message of an error in one line."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+# --- in a worker
+
+
+@lru_cache(maxsize=1)
+def device_here(name: str, form: str) -> Device:
+    """The device of a worker, which stays open for the jobs that follow.
+
+    Its kernels are compiled into a folder that no other process of this machine uses.
+
+    Parameters
+    ----------
+    name, form : of the device, see `choose_device`; CLSPLAT_DEVICE prevails.
+    """
+    os.environ["POCL_CACHE_DIR"] = str(_own_kernel_cache())
+    return choose_device(os.environ.get("CLSPLAT_DEVICE") or name, form=form)
+
+
+@contextmanager
+def watched(folder: Path) -> Iterator[None]:
+    """End this process once it does nothing in a folder during the block: its disk or its device
+    hangs, so that it can neither save its state nor end itself."""
+    ended = threading.Event()
+
+    def watch() -> None:
+        change, changed = latest_change(folder), time.monotonic()
+        while not ended.wait(min(60.0, HANG_SECONDS / 10)):
+            if (latest := latest_change(folder)) != change:
+                change, changed = latest, time.monotonic()
+            elif time.monotonic() - changed > HANG_SECONDS:
+                log.error("%s: nothing was done for %g s", folder, HANG_SECONDS)
+                os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+    try:
+        yield
+    finally:
+        ended.set()
+
+
+@lru_cache(maxsize=1)
+def _own_kernel_cache() -> Path:
+    """Lock a folder for compiled kernels that no other process of this machine uses.
+
+    PoCL's cache is not safe across processes. (pyopencl's is off, see clsplat/device/runtimes.py.)
+    Where no such folder can be written, it is a temporary one, which is removed with the process.
+    """
+    stack = ExitStack()
+    multiprocessing.util.Finalize(None, stack.close, exitpriority=0)
+    with suppress(OSError, RuntimeError):  # of another user, full, or the home folder is unknown
+        chosen = os.environ.get("POCL_CACHE_DIR")
+        base = Path(chosen) if chosen else Path.home() / ".cache" / "clsplat" / "kernels"
+        base = base / socket.gethostname()
+        base.mkdir(parents=True, exist_ok=True)
+        for number in count():
+            folder = base / str(number)
+            folder.mkdir(exist_ok=True)
+            try:
+                stack.enter_context(exclusive(folder))
+                return folder
+            except LockTaken:
+                pass
+            except InputError:
+                break
+    return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="clsplat-kernels-")))

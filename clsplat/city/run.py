@@ -1,0 +1,265 @@
+"""A large scene, block by block: from the scene to the merged model, and its stages by themselves.
+
+`clsplat city`, `clsplat partition` and `clsplat merge` print what these functions report.
+"""
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from clsplat.city.blocks import reason_of, train_blocks
+from clsplat.city.cluster import connected
+from clsplat.city.cut import cut_into_blocks, draw, requested_of
+from clsplat.city.dense import find_dense_gaussians, found_beside
+from clsplat.city.finish import evaluate_city, merge_city_tree, merged_city, reference_file
+from clsplat.city.forecast import (
+    block_table,
+    expected_gaussians,
+    facts_of_whole,
+    gaussians_that_fit,
+    one_block_note,
+    trains_jointly,
+)
+from clsplat.city.merge import Merged
+from clsplat.city.stages import begin, begin_from_coarse, train_coarse
+from clsplat.city.workers import Outcome, Workers
+from clsplat.config.option import is_auto
+from clsplat.device import Device, choose_device
+from clsplat.errors import InputError, Interrupted
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.options import TrainOptions
+from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
+from clsplat.scene import Scene
+from clsplat.training.photos import size_note
+from clsplat.training.progress import SilentProgress
+
+STARTS = ("sfm", "dense")  # of a city's blocks: the coarse model, or dense points in its gaps too
+STEPS = ("joint_steps", "exchanges", "block_steps")  # options that a city keeps once it is cut
+# where several blocks share a GPU: at most so many, with so many cores of the host for each
+MOST_SHARING, CORES_SHARING = 4, 4
+
+
+class Shown:
+    """Receives what a city does, and shows nothing; a subclass shows it."""
+
+    def stage(self, title: str) -> AbstractContextManager[SilentProgress | None]:
+        """The progress of a stage, such as "coarse run" or "block 2 of 9"."""
+        return nullcontext()
+
+    def line(self, text: str) -> None:
+        """A line, or a table, that stays."""
+
+    def failure(self, text: str) -> None:
+        """A line about a block that failed, or an option without effect."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finished:
+    """A merged city.
+
+    Attributes
+    ----------
+    merged : its blocks.
+    evaluated : whether the model was evaluated; a tree is not.
+    scores, seams : as `finish.evaluate_city` returns them.
+    """
+
+    merged: Merged
+    evaluated: bool = False
+    scores: dict[str, Any] | None = None
+    seams: dict[str, Any] | None = None
+
+
+def city(scene: Scene, options: TrainOptions, output: Path, *,
+         partition: Mapping[str, Any] | None = None, workers: int | None = None,
+         devices: Sequence[str] = (), scheduler: str = "", fill: bool = False,
+         against: Path | None = None, tree: bool = False, shown: Shown | None = None) -> Finished:
+    """Train a large scene in blocks, and merge them.
+
+    The stages are a coarse run, partition, training of the blocks, merge, joint training and
+    evaluation. After any failure, the same call continues. With several workers a script needs
+    `if __name__ == "__main__":`, as its processes import it.
+
+    Parameters
+    ----------
+    scene : as it was read.
+    options : of the whole.
+    output : the folder of the city.
+    partition : fields of PartitionOptions, by name; others are chosen.
+    workers : how many blocks are trained at a time on this machine; None: one for each device, or
+        as many as share a GPU well. With a scheduler: for how many workers to cut.
+    devices : names of devices, as in `clsplat devices`; none: that of `options`.
+    scheduler : address of a Dask scheduler, whose workers train the blocks and score the result.
+    fill : whether the coarse model's gaussians are used if a block fails.
+    against : a run of the whole scene, or its PLY, as the reference for seams; None: the coarse
+        model.
+    tree : merge into a tree of levels of detail, with one block at a time in memory; nothing is
+        evaluated.
+    shown : receives what is being done.
+
+    Returns
+    -------
+    The merged city; its folder is a run like any other.
+
+    Raises
+    ------
+    InputError : the scene, an option or the folder cannot be used, or a block has failed.
+    Interrupted : it was stopped; the state is saved.
+    """
+    if options.coarse or not (is_auto(options.init) or options.init in STARTS):
+        raise InputError("--init, --coarse: a city begins with its own coarse run; leave them out, "
+                         f"or give --init {' or '.join(STARTS)}")
+    shown, folder, reference = shown or Shown(), CityFolder(output), reference_file(against, tree)
+    if workers is None and scheduler:
+        workers = 1
+    Workers(workers or 1)  # refuses a wrong number before the device is opened
+    device = choose_device(devices[0] if devices else options.device, form=options.form)
+    cutting = chosen_partition(partition or {}, scene, options, device, folder, workers,
+                               workers if scheduler and workers else max(1, len(devices)), tree)
+    if scheduler and not RunFolder(folder.coarse).has_model:
+        connected(scheduler).close()
+    if not folder.has_record:
+        folder.check_free()
+    with RunFolder(folder.path).locked(), Workers(cutting.workers, scheduler, devices) as all_:
+        all_.start(options.device, options.form)
+        begin(folder, scene, options)
+        for note in (size_note(scene.views, options), one_block_note(cutting, scene.path)):
+            if note:
+                shown.line(note)
+        with stopped_at(folder):
+            _train(folder, scene, options, device, cutting, all_, fill, shown)
+        return merge_city(folder, scene, options, device, all_, fill, reference, tree, shown=shown)
+
+
+def _train(folder: CityFolder, scene: Scene, options: TrainOptions, device: Device,
+           cutting: PartitionOptions, workers: Workers, fill: bool, shown: Shown) -> None:
+    """The coarse run, the partition and the blocks; arguments as for `city`."""
+    # a city with a joint training is so small that the host can hold the photos of both; with
+    # several devices all but one would wait for the coarse run
+    helped = workers.several and not workers.scheduler and (
+        cutting.joint_steps or len(workers.devices) > 1)
+    found = found_beside(folder, scene, options, workers) if helped else lambda: False
+    with shown.stage("coarse run") as progress:
+        train_coarse(folder, scene, options, device, progress, cutting.joint_steps > 0)
+    with shown.stage("start of blocks") as progress:
+        if not found():
+            find_dense_gaussians(folder, scene, options, device, progress)
+    partition, counts = cut_into_blocks(folder, scene, options, cutting, device)
+    # trial steps would keep the other devices waiting
+    shown.line(block_table(folder, None if workers.several else device, counts).text())
+
+    def began(title: str, name: str) -> None:
+        if workers.several:
+            shown.line(f"{title}: training in blocks/{name}")
+
+    def ended(title: str, outcome: Outcome) -> None:
+        shown.line(f"{title} (blocks/{outcome.job.block.path.name}): "
+                   f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
+
+    with ThreadPoolExecutor(1) as beside:
+        drawn = beside.submit(draw, folder, partition, scene, counts)
+        outcomes = train_blocks(folder, workers, device, shown.stage, ended, began, fill)
+        drawn.result()
+    for outcome in outcomes:
+        if not outcome.ok:
+            shown.failure(f"block {outcome.job.block.path.name} failed on {outcome.worker}: "
+                          f"{reason_of(outcome)}")
+
+
+def cut_city(folder: CityFolder, partition: Mapping[str, Any], scene_path: Path | None = None
+             ) -> str:
+    """Cut the scene of a city with a finished coarse run into blocks; the table of the blocks.
+
+    Parameters
+    ----------
+    partition : fields of PartitionOptions, by name.
+    scene_path : where the scene is now, if it was moved.
+    """
+    folder.check_there()
+    with RunFolder(folder.path).locked():
+        scene, options = begin_from_coarse(folder, scene_path)
+        device = choose_device(options.device, form=options.form)
+        cutting = chosen_partition(partition, scene, options, device, folder)
+        find_dense_gaussians(folder, scene, options, device)
+        cut, counts = cut_into_blocks(folder, scene, options, cutting, device)
+        draw(folder, cut, scene, counts)
+        return block_table(folder, device, counts).text()
+
+
+def merge_city(folder: CityFolder, scene: Scene, options: TrainOptions, device: Device,
+               workers: Workers, fill: bool = False, reference: Path | None = None,
+               tree: bool = False, joint: bool = True, shown: Shown | None = None) -> Finished:
+    """Merge the finished blocks of a city, train the whole jointly, and evaluate it.
+
+    Parameters
+    ----------
+    folder : of the city.
+    scene, options : the whole.
+    device : an open device.
+    workers : which score the views.
+    fill, tree, shown : as for `city`.
+    reference : the PLY of the reference for seams; None: the coarse model.
+    joint : whether there is a joint training, if the partition includes it.
+
+    Raises
+    ------
+    InputError : a block is missing; nothing is written then.
+    Interrupted : the joint training was stopped; its state is saved.
+    """
+    if tree:
+        return Finished(merge_city_tree(folder, scene, options, device, fill))
+    with ExitStack() as stack:  # levels of detail are still written while the model is evaluated
+        with stopped_at(folder), (shown or Shown()).stage("joint training") as progress:
+            merged = stack.enter_context(
+                merged_city(folder, scene, options, device, fill, progress, joint))
+        return Finished(merged, True, *evaluate_city(folder, options, device, merged,
+                                                     reference, workers))
+
+
+@contextmanager
+def stopped_at(folder: CityFolder) -> Iterator[None]:
+    """Let an Interrupted in the block say how the city goes on."""
+    try:
+        yield
+    except Interrupted:
+        raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command continues"
+                          ) from None
+
+
+def chosen_partition(given: Mapping[str, Any], scene: Scene, options: TrainOptions,
+                     device: Device, city: CityFolder, workers: int | None = 1, devices: int = 1,
+                     tree: bool = False) -> PartitionOptions:
+    """The PartitionOptions with given fields, and others chosen.
+
+    By default the blocks of the workers that share a device fit it together, and a city that is cut
+    already keeps its steps.
+
+    Parameters
+    ----------
+    workers : None: as many as share the devices well.
+    devices : the number of devices that the workers use.
+    """
+    facts, photos = facts_of_whole(scene, options)
+    expected, fit = expected_gaussians(facts, options), gaussians_that_fit(device, options)
+    number = workers or devices
+    recorded = requested_of(city) if city.has_partition else {}
+    chosen = PartitionOptions(**{
+        **{name: recorded[name] for name in STEPS if name in recorded}, **given,
+        "expected": expected,
+        "block_gaussians": given.get("block_gaussians") or max(
+            LEAST_GAUSSIANS, int(fit / max(1, number / devices))),
+        "least_blocks": min(number, max(1, expected // LEAST_GAUSSIANS)), "workers": number})
+    if workers is None and not device.is_cpu:
+        # a GPU works for one block while others read, write and exchange
+        sharing = min(MOST_SHARING, math.ceil(chosen.blocks / devices),
+                      (os.cpu_count() or 1) // CORES_SHARING,
+                      int(fit / 2 / (chosen.trained / chosen.blocks)))
+        chosen = replace(chosen, workers=devices * max(1, sharing))
+    return chosen.decided(not (recorded or tree) and chosen.several and expected <= fit
+                          and trains_jointly(facts, photos, options))

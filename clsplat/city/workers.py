@@ -1,0 +1,247 @@
+"""Runs jobs in this process, in processes of this machine, or on a Dask cluster.
+
+Executors of `concurrent.futures` and a client of `distributed` run them alike, as their futures
+have one protocol. A worker that dies, or that does nothing for an hour, is replaced.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from clsplat.city.cluster import Cluster
+from clsplat.city.jobs import HERE, Job, Lost, Unfit
+from clsplat.city.processes import InProcess, Processes
+from clsplat.errors import ClsplatError, InputError, Interrupted
+from clsplat.io.folders import make_folder
+from clsplat.io.lock import LockTaken
+
+MOST_WORKERS = 1024  # of one machine
+RETRIES = 2  # of a job that fails, unless its input is invalid
+MOST_LOSSES = 10  # workers that may disappear while they run a job: it may be the cause
+POLL_SECONDS = 0.05
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of a job.
+
+    Attributes
+    ----------
+    job : the job.
+    value : what it returned; None if it was finished before, or failed.
+    error : why it failed; None: it did not.
+    seconds : the duration of all its tries.
+    tries : how often it was started.
+    worker : the last one.
+    """
+
+    job: Any
+    value: Any = None
+    error: Exception | None = None
+    seconds: float = 0.0
+    tries: int = 0
+    worker: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether the job is finished."""
+        return self.error is None
+
+
+class Pool(Protocol):
+    """Where jobs run."""
+
+    def slots(self) -> int:
+        """How many jobs may run at the same time."""
+
+    def submit(self, job: Job) -> Any:
+        """Start a job, and return its future; called while a slot is free."""
+
+    def result(self, future: Any) -> tuple[Any, str]:
+        """What the job of a future returned, and its worker; raises what it raised, or Lost."""
+
+    def close(self) -> None:
+        """Let running jobs save their state, and end."""
+
+
+class Workers:
+    """Where the jobs of a command run; a context, at whose end its processes end.
+
+    Parameters
+    ----------
+    number : of processes on this machine.
+    scheduler : address of a Dask scheduler, whose workers are used instead.
+    devices : values of CLSPLAT_DEVICE that the processes use in turn, from the last one, as this
+        process works on the first one.
+
+    Raises
+    ------
+    InputError : for a number of processes that no machine can run.
+    """
+
+    def __init__(self, number: int = 1, scheduler: str = "", devices: Sequence[str] = ()) -> None:
+        if not 1 <= number <= MOST_WORKERS:
+            raise InputError(f"--workers {number}: expects 1 to {MOST_WORKERS}, as many as this "
+                             "machine has free devices or cores")
+        self.number, self.scheduler, self.devices = number, scheduler, tuple(devices)
+        self._pool: Pool | None = None
+
+    @property
+    def several(self) -> bool:
+        """Whether jobs run in other processes."""
+        return self.number > 1 or bool(self.scheduler)
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def start(self, device: str, form: str) -> None:
+        """Start the processes of this machine, which open their device meanwhile; see `Job`."""
+        if self.several and not self.scheduler:
+            for process in self._processes().all[:os.cpu_count() or 1]:
+                process.start((device, form))
+
+    def beside(self, job: Job) -> Future[Any]:
+        """Start a job in a process of this machine, while this process does other work."""
+        return self._processes().submit(job)
+
+    def run(self, jobs: Sequence[Job], here: Callable[[Any], Any],
+            began: Callable[[Any], object] | None = None,
+            ended: Callable[[Outcome], object] | None = None, retries: int = RETRIES
+            ) -> list[Outcome]:
+        """Run jobs until each is finished or has failed.
+
+        Parameters
+        ----------
+        jobs : the first begin first.
+        here : runs a job in this process, if there are no other ones.
+        began : called with each job that begins.
+        ended : called with each Outcome as soon as it is known.
+        retries : how often a job that fails is tried again, unless its input is invalid.
+
+        Returns
+        -------
+        The Outcome of each job, in the order of the jobs.
+
+        Raises
+        ------
+        Interrupted : on Ctrl-C; running jobs are told to save their state and end.
+        InputError : the cluster cannot be used.
+        """
+        board = _Board(jobs, retries, ended)
+        if not board.waiting:
+            return board.in_order()
+        pool: Pool = (self._cluster() if self.scheduler else
+                      self._processes() if self.several else InProcess(here))
+        running: dict[Any, Job] = {}
+        try:
+            while running or board.can_begin:
+                while len(running) < pool.slots() and (job := board.next_job()):
+                    if began:
+                        began(job)
+                    running[pool.submit(job)] = job
+                done = [future for future in running if future.done()]
+                for future in done:
+                    board.settle(running.pop(future), future, pool)
+                if not done:
+                    time.sleep(POLL_SECONDS)
+        except KeyboardInterrupt:
+            self.close()
+            raise Interrupted(
+                f"stopped, {len(board.outcomes)} of {len(board.jobs)} jobs finished; the running "
+                "ones save their state, and the same command continues them") from None
+        board.give_up()  # what waits for a job that failed
+        return board.in_order()
+
+    def close(self) -> None:
+        """End the processes; those that work save their state before."""
+        if self._pool:
+            self._pool.close()
+            self._pool = None
+
+    def _processes(self) -> Processes:
+        if not isinstance(self._pool, Processes):
+            self._pool = Processes(self.number, self.devices)
+        return self._pool
+
+    def _cluster(self) -> Cluster:
+        if not isinstance(self._pool, Cluster):
+            self._pool = Cluster(self.scheduler)
+        return self._pool
+
+
+class _Board:
+    """Which jobs wait, how often each was tried, and how it ended; arguments as for `run`.
+
+    Jobs that were finished before get an Outcome without tries, which is not reported. The folders
+    of the other ones are created.
+    """
+
+    def __init__(self, jobs: Sequence[Job], retries: int,
+                 ended: Callable[[Outcome], object] | None) -> None:
+        self.jobs, self._retries, self._ended = list(jobs), retries, ended
+        self.outcomes = {job.name: Outcome(job) for job in self.jobs if job.is_done}
+        self.waiting = deque(job for job in self.jobs if job.name not in self.outcomes)
+        self._tries, self._failures, self._losses = (Counter[str]() for _ in range(3))
+        self._seconds, self._began = Counter[str](), dict[str, float]()
+        for job in self.waiting:
+            make_folder(job.folder)
+
+    @property
+    def can_begin(self) -> bool:
+        """Whether a waiting job may begin."""
+        return any(not self._awaited(job) for job in self.waiting)
+
+    def next_job(self) -> Job | None:
+        """Take the first of the waiting jobs that may begin; None if there is none."""
+        job = next((job for job in self.waiting if not self._awaited(job)), None)
+        if job:
+            self.waiting.remove(job)
+            self._tries[job.name] += 1
+            self._began[job.name] = time.monotonic()
+        return job
+
+    def settle(self, job: Job, future: Any, pool: Pool) -> None:
+        """Note the end of a try: the job is finished, has finally failed, or waits again."""
+        name, error, value, worker = job.name, None, None, HERE
+        self._seconds[name] += time.monotonic() - self._began[name]  # type: ignore[assignment]
+        try:
+            value, worker = pool.result(future)
+            if job.done and not job.is_done:
+                raise RuntimeError(f"it ended without an error but did not write {job.done}")
+        except Exception as raised:  # noqa: BLE001  (another machine may raise anything)
+            error = raised
+            lost = isinstance(raised, (Lost, Unfit, Interrupted))
+            refused = isinstance(raised, ClsplatError) and not isinstance(raised, LockTaken)
+            (self._losses if lost else self._failures)[name] += 1
+            if self._losses[name] < MOST_LOSSES and (
+                    lost or not refused and self._failures[name] <= self._retries):
+                self.waiting.append(job)
+                return
+        self.outcomes[name] = outcome = Outcome(job, value, error, self._seconds[name],
+                                                self._tries[name], worker)
+        if self._ended:
+            self._ended(outcome)
+
+    def give_up(self) -> None:
+        """Give the jobs that still wait an Outcome, which is not reported."""
+        for job in self.waiting:
+            self.outcomes[job.name] = Outcome(job, error=InputError(
+                f"it waits for {self._awaited(job)}"))
+
+    def in_order(self) -> list[Outcome]:
+        """The outcomes in the order of the jobs."""
+        return [self.outcomes[job.name] for job in self.jobs]
+
+    def _awaited(self, job: Job) -> str:
+        """The first job that must be finished before this one, and is not; "" if there is none."""
+        return next((name for name in job.after
+                     if name not in self.outcomes or not self.outcomes[name].ok), "")
