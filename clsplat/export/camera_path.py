@@ -20,7 +20,7 @@ from clsplat.errors import InputError
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
-from clsplat.io.scenes.posed import world_to_camera
+from clsplat.io.scenes.posed import FLIPPED, exact_poses
 from clsplat.scene import Scene
 
 # a film looks from where photos were taken, so the angle of view is at most theirs, and at least
@@ -35,7 +35,7 @@ FINER = 8  # places of a curve for each key
 ROUNDING = 1e-9  # of the coordinates: shorter ways are none
 MOST_KEYS = 100_000
 FARTHEST = 1e12  # units: the largest coordinate that a path may have
-ORTHOGONAL = 1e-6  # largest error of a rotation, which `world_to_camera` has made exact
+ORTHOGONAL = 1e-6  # largest error of a rotation, which `exact_poses` has made exact
 LEAST_STEP = 1e-9  # of a path's time, between two keys
 
 
@@ -203,7 +203,8 @@ def read_camera_path(path: Path) -> Keys:
         matrices = np.array([frame["transform_matrix"] for frame in frames], np.float64)
         if matrices.shape[1:] not in ((3, 4), (4, 4)) or not (abs(matrices) <= FARTHEST).all():
             raise ValueError("transform_matrix is not a 3x4 or 4x4 matrix of numbers")
-        rotations, translations = world_to_camera(matrices[:, :3])
+        rotations, translations = exact_poses(
+            (matrices[:, :3, :3] * FLIPPED).transpose(0, 2, 1), matrices[:, :3, 3])
         turns = abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max() <= ORTHOGONAL
         if not turns or (np.linalg.det(rotations) < 0).any():
             raise ValueError("transform_matrix does not hold a rotation")

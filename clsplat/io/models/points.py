@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
+from clsplat.io.fields import LARGEST_COORDINATE
 from clsplat.io.models.usable import usable
-from clsplat.io.scenes.checks import LARGEST_COORDINATE
 
 COLOURS = ("red", "green", "blue")
 GREY = 128

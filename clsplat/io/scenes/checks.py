@@ -1,6 +1,5 @@
 """What every scene must satisfy, whatever file it came from."""
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -10,13 +9,12 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
+from clsplat.io.fields import CONTROL, LARGEST_COORDINATE
 from clsplat.scene import Scene, View
 
 ROTATION_TOLERANCE = 1e-3
-LARGEST_COORDINATE = 1e15  # world units or pixels: squares and their sums stay within float32
 LONGEST_NAME_BYTES = 255  # of a part of an image's name: the limit of file systems
 PICTURE_SUFFIX_BYTES = 10  # that pictures of a view add to its name: ".png", ".part" while written
-CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # control characters and line ends
 
 
 def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]],

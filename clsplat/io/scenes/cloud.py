@@ -1,6 +1,7 @@
 """Initial point clouds for data sets that have poses but no sparse model."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
+from clsplat.io.fields import LARGEST_COORDINATE
 from clsplat.io.models.ply import read_vertices
 from clsplat.io.photos.images import read_image
-from clsplat.io.scenes.checks import LARGEST_COORDINATE
 from clsplat.io.scenes.colmap import read_model
 from clsplat.scene import View
 
@@ -25,11 +26,26 @@ DEPTHS = (0.5, 8.0)  # of sampled points, in distances to the farthest of those 
 LEAST_ANGLE = np.radians(1.0)  # between two views of a sampled point
 COLOUR_PHOTOS, COLOUR_SIZE = 16, (32, 24)  # photos of the mean colour; width and height, pixels
 
-Cloud = tuple[NDArray[np.float64], NDArray[np.uint8] | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """The sparse points of a data set or a project.
+
+    Attributes
+    ----------
+    positions : float64[N, 3], world.
+    colours : uint8[N, 3]; None: unknown.
+    observations : int[M, 2], rows (point, photo); None: unknown.
+    """
+
+    positions: NDArray[np.float64]
+    colours: NDArray[np.uint8] | None = None
+    observations: NDArray[np.int64] | None = None
 
 
 def read_cloud(folder: Path, ply: Path | None, transform: NDArray[np.float64]) -> Cloud | None:
-    """Read the points float64[N, 3] and colours uint8[N, 3], if any, of a scene folder.
+    """Read the points of a scene folder.
 
     The first of these is used: points3D.ply, sparse_pc.ply, a COLMAP model in the folder or in
     colmap/; None if all are missing.
@@ -47,7 +63,8 @@ def read_cloud(folder: Path, ply: Path | None, transform: NDArray[np.float64]) -
     for place in (folder, folder / "colmap"):
         if (place / "sparse").is_dir():
             _, arrays = read_model(place)
-            return arrays["points"] @ transform[:, :3].T + transform[:, 3], arrays["colours"]
+            return Cloud(arrays["points"] @ transform[:, :3].T + transform[:, 3],
+                         arrays["colours"])
     return None
 
 
@@ -58,8 +75,8 @@ def _ply_cloud(path: Path) -> Cloud:
         raise InputError(f"{path}: its vertices have no x, y, z; give a PLY of points")
     points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
     if any(name not in kinds or rows.dtype[name] != np.uint8 for name in COLOURS):
-        return points, None
-    return points, np.stack([rows[name] for name in COLOURS], axis=1)
+        return Cloud(points)
+    return Cloud(points, np.stack([rows[name] for name in COLOURS], axis=1))
 
 
 def sample_points(path: str | Path, views: Sequence[View]) -> NDArray[np.float64]:

@@ -1,108 +1,125 @@
-"""Scenes of data sets that give the pose of every photo, with or without a point cloud."""
+"""Scenes of data sets and projects that give the pose of every photo, with points or without.
+
+A reader translates cameras to COLMAP's models and axes, exactly or not at all; the scene then is
+built as that of a COLMAP model is.
+"""
+
+from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.io.photos.lenses import Model, undistorted_model
+from clsplat.errors import InputError
+from clsplat.georeference import Georeference
+from clsplat.io.photos.lenses import Model, brown_model, undistorted_model
 from clsplat.io.scenes.checks import ROTATION_TOLERANCE, checked_scene
 from clsplat.io.scenes.cloud import Cloud, mean_colour, sample_points
 from clsplat.io.scenes.sources import checked_photos
 from clsplat.scene import Scene
 
 # used until the cameras are checked, from which the points are then sampled
-PLACEHOLDER_POINTS = np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
+PLACEHOLDER = Cloud(np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)]))
+FLIPPED = np.array([1.0, -1.0, -1.0])  # camera axes right, up, back to right, down, forward
 
 
-@dataclass(frozen=True, eq=False)
-class PosedPhoto:
-    """A photo as a data set describes it.
+@dataclass(frozen=True)
+class Optics:
+    """The camera model of a photo, with pixels as in COLMAP: (0, 0) is the outer corner of the
+    first.
 
     Attributes
     ----------
     size : (width, height), pixels.
     focal, centre : (x, y), pixels.
-    pose : float64[3, 4], camera to world, with camera axes right, up, back (OpenGL).
+    model : COLMAP's name and parameters; None: a pinhole camera.
+    """
+
+    size: tuple[int, int]
+    focal: tuple[float, float]
+    centre: tuple[float, float]
+    model: Model | None = None
+
+
+def brown(size: tuple[int, int], focal: tuple[float, float], centre: tuple[float, float],
+          radial: Sequence[float] = (), tangential: Sequence[float] = (0.0, 0.0)) -> Optics:
+    """A camera with Brown's model; see `lenses.brown_model`."""
+    return Optics(size, focal, centre, brown_model((*focal, *centre), radial, tangential))
+
+
+@dataclass(frozen=True, eq=False)
+class PosedPhoto:
+    """A photo as a data set or a project describes it.
+
+    Attributes
+    ----------
+    name, source : of the view, and its file.
+    optics : its camera model.
+    rotation : float64[3, 3], world to camera (right, down, forward); nearly a rotation, as far as
+        files are rounded.
+    position : float64[3], the optical centre, world.
     held_out : whether it is a test view.
-    lens : the camera model of the photo, if it is not a pinhole's.
     mask : an image of which pixels count.
     """
 
     name: str
     source: Path
-    size: tuple[int, int]
-    focal: tuple[float, float]
-    centre: tuple[float, float]
-    pose: NDArray[np.float64]
+    optics: Optics
+    rotation: NDArray[np.float64]
+    position: NDArray[np.float64]
     held_out: bool = False
-    lens: Model | None = None
     mask: Path | None = None
 
 
-def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: Cloud | None
-                ) -> Scene:
+def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: Cloud | None, *,
+                smaller: Path | None = None, georeference: Georeference | None = None,
+                z_is_up: bool = False, notes: Iterable[str] = ()) -> Scene:
     """Build the scene of a folder and recentre it; photos are checked as by `read_colmap`.
 
     Parameters
     ----------
     path : the file that messages name.
-    cloud : points and perhaps colours; without it points are sampled where two cameras see, and a
-        warning is logged.
+    cloud : the points; without them points are sampled where two cameras see, and a warning is
+        logged. Without colours they get the mean colour of the photos.
+    smaller : as for `checked_photos`.
     """
-    rotations, translations = world_to_camera(np.array([photo.pose for photo in photos]))
-    points, colours = cloud or (PLACEHOLDER_POINTS, None)
-    arrays = undistorted_model(path, {
+    rotations, translations = exact_poses(np.array([photo.rotation for photo in photos]),
+                                          np.array([photo.position for photo in photos]))
+    points = cloud or PLACEHOLDER
+    optics = [photo.optics for photo in photos]
+    arrays = {
         "names": np.array([photo.name for photo in photos], object), "rotations": rotations,
-        "translations": translations, "focals": np.array([photo.focal for photo in photos]),
-        "centres": np.array([photo.centre for photo in photos]),
-        "sizes": np.array([photo.size for photo in photos]), "points": points,
-        "colours": np.zeros((len(points), 3), np.uint8) if colours is None else colours,
-    }, [photo.lens for photo in photos])
+        "translations": translations, "focals": np.array([each.focal for each in optics]),
+        "centres": np.array([each.centre for each in optics]),
+        "sizes": np.array([each.size for each in optics]), "points": points.positions,
+        "colours": np.zeros((len(points.positions), 3), np.uint8) if points.colours is None else
+        points.colours}
+    if points.observations is not None:
+        arrays["observations"] = points.observations
+    arrays = undistorted_model(path, arrays, [each.model for each in optics])
     known = {photo.name: photo for photo in photos}
     used = [known[name] for name in arrays["files"]]
     scene = checked_scene(path, folder.resolve().name, arrays, [photo.source for photo in used])
-    masks = {name: photo.mask for name, photo in zip(arrays["names"], used)}
-    scene = checked_photos(replace(scene, views=tuple(
-        replace(view, mask=masks[view.name]) for view in scene.views)))
-    scene = with_points(path, scene, cloud is None, colours is None)
-    held_out = frozenset(str(name) for name, photo in zip(arrays["names"], used) if photo.held_out)
-    return replace(scene, path=folder, held_out=held_out or None).recentred()
-
-
-def with_points(path: Path, scene: Scene, no_points: bool, no_colours: bool) -> Scene:
-    """The scene with what its data set lacks: random points where two cameras see, with a warning,
-    and the mean colour of its photos.
-
-    Parameters
-    ----------
-    path : the file that messages name.
-    no_points, no_colours : whether the points, or their colours, are missing.
-    """
-    if no_points:
+    by_view = dict(zip(map(str, arrays["names"]), used))
+    scene = replace(
+        scene, path=folder, notes=tuple(notes), georeference=georeference,
+        given_up=np.array([0.0, 0.0, 1.0]) if z_is_up else None,
+        held_out=frozenset(name for name, photo in by_view.items() if photo.held_out) or None,
+        views=tuple(replace(view, mask=by_view[view.name].mask) for view in scene.views))
+    scene = checked_photos(scene, smaller)
+    if cloud is None:
         scene = replace(scene, points=sample_points(path, scene.views))
         logging.getLogger(__name__).warning(
             "%s: no sparse points: %d are sampled at random where at least two cameras see; a "
             "model trained from points3D.ply beside it, a COLMAP model or --init FILE (a point "
-            "cloud) is better",
-            path, len(scene.points))
-    if no_colours:
+            "cloud) is better", path, len(scene.points))
+    if points.colours is None:
         scene = replace(scene, colours=np.tile(mean_colour(scene.views), (len(scene.points), 1)))
-    return scene
-
-
-def world_to_camera(poses: NDArray[np.float64]
-                    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Convert camera poses to rotations float64[V, 3, 3] and translations float64[V, 3].
-
-    Parameters
-    ----------
-    poses : float64[V, 3, 4], as in `PosedPhoto`.
-    """
-    return exact_poses((poses[:, :, :3] * (1, -1, -1)).transpose(0, 2, 1), poses[:, :, 3])
+    return scene.recentred()
 
 
 def exact_poses(rotations: NDArray[np.float64], positions: NDArray[np.float64]
@@ -125,3 +142,12 @@ def exact_poses(rotations: NDArray[np.float64], positions: NDArray[np.float64]
         left, _, right = np.linalg.svd(rotations[almost])
         exact[almost] = left @ right
         return exact, -(exact @ positions[:, :, None])[:, :, 0]
+
+
+def only(paths: Iterable[Path], kind: str) -> Path | None:
+    """The single one of some files, None if there is none; InputError if there are several."""
+    found = sorted(paths)
+    if len(found) > 1:
+        raise InputError(f"{found[0].parent}: holds several {kind}: {found[0].name}, "
+                         f"{found[1].name}; give the file itself instead of its folder")
+    return found[0] if found else None

@@ -2,7 +2,10 @@
 
 import hashlib
 import os
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.metadata import entry_points
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +14,7 @@ from numpy.typing import ArrayLike
 from clsplat.errors import InputError
 from clsplat.io.georeference.files import placed
 from clsplat.io.photos.masks import with_masks
+from clsplat.io.reason import reason
 from clsplat.io.runs.city import attached
 from clsplat.io.scenes.citygs import has_parts, read_citygs
 from clsplat.io.scenes.colmap import has_model, read_colmap
@@ -25,8 +29,13 @@ from clsplat.scene import Scene
 LAYOUTS = ((has_parts, read_citygs), (has_transforms, read_transforms))
 # the projects of other programs: what finds their file, in a folder without a COLMAP model or as
 # the path itself, and their reader
-PROJECTS = ((find_opensfm, read_opensfm), (find_metashape, read_metashape), (find_opf, read_opf),
-            (find_realityscan, read_realityscan))
+Project = tuple[Callable[[Path], Path | None], Callable[[Path, str], Scene]]
+PROJECTS: tuple[Project, ...] = (
+    (find_opensfm, read_opensfm), (find_metashape, read_metashape), (find_opf, read_opf),
+    (find_realityscan, read_realityscan))
+# of entry points, by which other packages register readers: NAME = MODULE, with the functions
+# find(path) and read(path, images) as in PROJECTS
+GROUP = "clsplat.scenes"
 
 
 def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
@@ -56,7 +65,7 @@ def is_scene(folder: Path) -> bool:
     """Whether a folder holds a scene of any layout, which need not be in order."""
     return (folder / "train" / "metadata").is_dir() or any(
         recognises(folder) for recognises, _ in LAYOUTS) or has_model(folder) or any(
-        find(folder) for find, _ in PROJECTS)
+        find(folder) for find, _ in _projects())
 
 
 def _read_folder(path: Path, images: str) -> Scene:
@@ -76,11 +85,26 @@ def _read_folder(path: Path, images: str) -> Scene:
 
 def _read_project(path: Path, images: str) -> Scene | None:
     """The scene of another program's project, a folder or its file; None if it is none."""
-    for find, read in PROJECTS:
+    for find, read in _projects():
         file = find(path)
         if file is not None:
             return replace(read(file, images), path=path)
     return None
+
+
+def _projects() -> Iterator[Project]:
+    """Ours, then those of other packages, which are imported only if none of ours fits."""
+    return chain(PROJECTS, _registered())
+
+
+def _registered() -> Iterator[Project]:
+    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
+        try:
+            module = entry.load()
+            yield module.find, module.read
+        except (ImportError, AttributeError) as error:
+            raise InputError(f"{entry.value}: cannot be loaded as a reader of scenes "
+                             f"({reason(error)}); correct or uninstall its package") from error
 
 
 def _no_images(path: Path, images: str, kind: str) -> None:

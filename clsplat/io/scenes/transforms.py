@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
+from clsplat.io.fields import number, pixels, reading, text
 from clsplat.io.photos.images import image_size
 from clsplat.io.photos.lenses import PANORAMA, Model, brown_model
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
-from clsplat.io.scenes.checks import CONTROL
 from clsplat.io.scenes.cloud import Cloud, read_cloud
-from clsplat.io.scenes.posed import PosedPhoto, posed_scene
+from clsplat.io.scenes.posed import FLIPPED, Optics, PosedPhoto, posed_scene
 from clsplat.scene import Scene
 
 ALL, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
@@ -40,7 +40,6 @@ LENSES = {FISHEYE: COEFFICIENTS[:4], RATIONAL: COEFFICIENTS, **dict.fromkeys(
     ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"),
     (*COEFFICIENTS[:4], "p1", "p2"))}
 MATRIXCITY_UNIT = 100.0  # metres
-LONGEST_SIDE = 1 << 20  # pixels
 
 
 def has_transforms(folder: Path) -> bool:
@@ -67,23 +66,20 @@ def read_transforms(folder: Path) -> Scene:
 
 
 def _table(path: Path) -> dict[str, Any]:
-    try:
-        table = object_of(read_regular(path))
-        if not isinstance(table.get("frames"), list) or not table["frames"]:
+    with reading(path, "a transforms.json", "export or copy it again"):
+        record = object_of(read_regular(path))
+        if not isinstance(record.get("frames"), list) or not record["frames"]:
             raise ValueError("it has no frames")
-        return table
-    except (ValueError, OSError) as error:
-        raise InputError(f"{path}: not a transforms.json, or damaged ({reason(error)}); "
-                         "export or copy it again") from None
+        return record
 
 
 def _posed_photos(path: Path, table: Mapping[str, Any], held_out: bool) -> list[PosedPhoto]:
     photos = []
-    for number, frame in enumerate(table["frames"]):
+    for index, frame in enumerate(table["frames"]):
         try:
             photos.append(_posed_photo(path.parent, _own(table, frame), held_out))
         except (ValueError, TypeError, OverflowError, OSError) as error:
-            raise InputError(f"{path}: frame {number} is damaged ({reason(error)}); "
+            raise InputError(f"{path}: frame {index} is damaged ({reason(error)}); "
                              "export it again") from None
     return photos
 
@@ -112,16 +108,17 @@ def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> Pose
     pose, file_path = _pose(frame)
     name, source = _photo(folder, file_path)
     if "w" in frame and "h" in frame:
-        size = _side(frame, "w"), _side(frame, "h")
+        size = pixels(frame["w"], "w"), pixels(frame["h"], "h")
     else:
         size = image_size(source)
     focal_x = _focal(frame, *FOCAL_X, size[0])
     focal_y = _focal(frame, *FOCAL_Y, size[1], focal_x)
     centre = (_number(frame, "cx", size[0] / 2), _number(frame, "cy", size[1] / 2))
     mask = frame.get("mask_path")
-    return PosedPhoto(name, source, size, (focal_x, focal_y), centre, pose, held_out,
-                      _lens(frame, size, (focal_x, focal_y, *centre)),
-                      None if mask is None else folder / _text(mask, "mask_path"))
+    optics = Optics(size, (focal_x, focal_y), centre,
+                    _lens(frame, size, (focal_x, focal_y, *centre)))
+    return PosedPhoto(name, source, optics, (pose[:, :3] * FLIPPED).T, pose[:, 3], held_out,
+                      None if mask is None else folder / text(mask, "mask_path"))
 
 
 def _pose(frame: Mapping[str, Any]) -> tuple[NDArray[np.float64], Any]:
@@ -145,18 +142,12 @@ def _matrix(table: Mapping[str, Any], key: str) -> NDArray[np.float64]:
 
 def _photo(folder: Path, file_path: object) -> tuple[str, Path]:
     """(name of the view, path) of a photo that may lack its suffix."""
-    photo = _text(file_path, "file_path").replace("\\", "/")
+    photo = text(file_path, "file_path").replace("\\", "/")
     if not isfile(folder / photo):
         photo += next((suffix for suffix in SUFFIXES if isfile(folder / (photo + suffix))),
                       "")
     parts = [part for part in PurePosixPath(photo).parts if part not in ("..", "/")]
     return "/".join(parts), folder / photo
-
-
-def _text(value: object, key: str) -> str:
-    if not isinstance(value, str) or CONTROL.search(value):
-        raise ValueError(f"{key} is not valid text")
-    return value
 
 
 def _lens(frame: Mapping[str, Any], size: tuple[int, int], pinhole: tuple[float, ...]
@@ -202,25 +193,18 @@ def _focal(frame: Mapping[str, Any], key: str, angle_key: str, side: int,
     return float(side / 2 / np.tan(angle / 2))
 
 
-def _side(frame: Mapping[str, Any], key: str) -> int:
-    value = _number(frame, key)
-    if value != int(value) or not 0 < value < LONGEST_SIDE:
-        raise ValueError(f"{key} is not a number of pixels")
-    return int(value)
-
-
 def _number(frame: Mapping[str, Any], key: str, default: float | None = None) -> float:
+    if key not in frame and default is None:
+        raise ValueError(f"it has no {key}")
     value = frame.get(key, default)
-    if not isinstance(value, (int, float)) or isinstance(value, bool):
-        raise ValueError(f"{key} is not a number" if key in frame else f"it has no {key}")
-    return float(value)
+    return number([] if isinstance(value, str) else value, key)  # no text, as a table may have
 
 
 def _cloud(path: Path, table: Mapping[str, Any]) -> Cloud | None:
     """The points and colours of `read_cloud`, in the coordinates of the poses."""
     file_path = table.get("ply_file_path")
     try:
-        ply = None if file_path is None else path.parent / _text(file_path, "ply_file_path")
+        ply = None if file_path is None else path.parent / text(file_path, "ply_file_path")
         # nerfstudio applies this to COLMAP's world before it writes poses and PLY
         transform = (_matrix(table, "applied_transform") if "applied_transform" in table
                      else np.eye(3, 4)) * _number(table, "applied_scale", 1)

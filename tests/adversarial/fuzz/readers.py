@@ -28,6 +28,7 @@ from clsplat.io.photos.images import image_size, read_image, write_image
 from clsplat.io.photos.lenses import undistorted_model
 from clsplat.io.photos.metadata import read_metadata
 from clsplat.io.photos.photo import opened
+from clsplat.io.photos.views import read_valid
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import from_toml, resolve
@@ -278,7 +279,7 @@ def _read_masks(folder):
     with opened(photo) as header:
         transparent = header.has_alpha
     for view in _views(photo, mask=folder / "masks/photo.png", transparent=transparent):
-        valid = view.valid()
+        valid = read_valid(view)
         assert valid is None or valid.shape == (view.camera.height, view.camera.width)
 
 

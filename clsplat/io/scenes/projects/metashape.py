@@ -22,23 +22,12 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from clsplat.errors import InputError
+from clsplat.io.fields import number, numbers, pixels, reading
 from clsplat.io.georeference.crs import is_local
-from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular, read_regular
+from clsplat.io.scenes.posed import Optics, PosedPhoto, brown, only
 from clsplat.io.scenes.projects.photo_files import PhotoFiles
-from clsplat.io.scenes.projects.scene import (
-    Optics,
-    ProjectPhoto,
-    brown,
-    finite,
-    georeferenced,
-    numbers,
-    only,
-    pixels,
-    project_scene,
-)
-from clsplat.io.scenes.projects.xml_file import root_of
+from clsplat.io.scenes.projects.scene import georeferenced, project_scene, root_of
 from clsplat.placement.similarity import Similarity
 from clsplat.scene import Scene
 
@@ -87,16 +76,13 @@ def read_metashape(path: Path, images: str = "") -> Scene:
     images : the folder of the photos, relative to that of the XML.
     """
     files = PhotoFiles(path.parent, images)
-    try:
+    with reading(path, "cameras of Metashape", "export them again"):
         chunk = _chunk(path)
         used, notes = _aligned(chunk)
         sensors = {sensor.get("id", ""): sensor for sensor in chunk.iter("sensor")}
         transforms = _transforms(chunk)
         photos = [_photo(camera, sensors, transforms, files) for camera in used]
         definition = (chunk.findtext("reference") or "").strip()
-    except (ValueError, OSError) as error:
-        raise InputError(f"{path}: not cameras of Metashape, or damaged ({reason(error)}); "
-                         "export them again") from None
     if not definition or is_local(definition):
         return project_scene(path, path.parent, files, photos, notes=notes)
     placed, _, georeference, more = georeferenced(
@@ -136,7 +122,7 @@ def _transforms(chunk: Element) -> Transforms:
 
 def _similarity(transform: Element) -> Similarity:
     """A similarity, each part of which may be missing."""
-    scale = finite(transform.findtext("scale") or "1", "scale")
+    scale = number(transform.findtext("scale") or "1", "scale")
     if not scale > 0:
         raise ValueError("scale is not positive")
     rotation = numbers(transform.findtext("rotation") or "1 0 0 0 1 0 0 0 1", 9, "rotation")
@@ -145,7 +131,7 @@ def _similarity(transform: Element) -> Similarity:
 
 
 def _photo(camera: Element, sensors: Mapping[str, Element], transforms: Transforms,
-           files: PhotoFiles) -> ProjectPhoto:
+           files: PhotoFiles) -> PosedPhoto:
     label = camera.get("label", "")
     name, source = files.find(label)
     try:
@@ -153,7 +139,7 @@ def _photo(camera: Element, sensors: Mapping[str, Element], transforms: Transfor
         world = transforms.of(camera)
         if camera.get("sensor_id", "") not in sensors:
             raise ValueError("its sensor is missing")
-        return ProjectPhoto(name, source, _optics(sensors[camera.get("sensor_id", "")]),
+        return PosedPhoto(name, source, _optics(sensors[camera.get("sensor_id", "")]),
                             (world.rotation @ pose[:3, :3]).T, world(pose[:3, 3]))
     except ValueError as error:
         raise ValueError(f"camera {label[:80]}: {error}") from None
@@ -171,7 +157,7 @@ def _optics(sensor: Element) -> Optics:
     if size is None:
         raise ValueError("its sensor has no resolution")
     width, height = pixels(size.get("width"), "width"), pixels(size.get("height"), "height")
-    value = {key: finite(calibration.findtext(key) or "0", key) for key in COEFFICIENTS}
+    value = {key: number(calibration.findtext(key) or "0", key) for key in COEFFICIENTS}
     focal = value["f"] + value["b1"], value["f"]
     centre = width / 2 + value["cx"], height / 2 + value["cy"]
     k1, k2, k3, k4 = (value[f"k{number}"] for number in range(1, 5))

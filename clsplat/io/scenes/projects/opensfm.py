@@ -20,24 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from clsplat.errors import InputError
+from clsplat.io.fields import number, numbers, pixels, reading, table, tables
 from clsplat.io.georeference.earth import topocentric
 from clsplat.io.photos.images import image_size
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
+from clsplat.io.scenes.cloud import Cloud
+from clsplat.io.scenes.posed import Optics, PosedPhoto, brown
 from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
-from clsplat.io.scenes.projects.scene import (
-    Optics,
-    ProjectPhoto,
-    ProjectPoints,
-    brown,
-    finite,
-    georeferenced,
-    numbers,
-    pixels,
-    project_scene,
-)
+from clsplat.io.scenes.projects.scene import georeferenced, project_scene
 from clsplat.scene import Scene
 
 # ODM keeps OpenSfM's own result beside one that it has moved onto its map
@@ -73,68 +65,46 @@ def read_opensfm(path: Path, images: str = "") -> Scene:
     """
     folder = path.parent.parent if path.parent.name == ODM else path.parent
     files = PhotoFiles(folder, images)
-    try:
-        table, notes = _largest(path)
-        shots, names, sources = _shots(table, files)
-        check_present(sources)
-        cameras = _table(table, "cameras")
+    with reading(path, "a reconstruction of OpenSfM", "copy it again"):
+        record, notes = _largest(path)
+        shots, cameras, points = (table(record.get(key, {}), key)
+                                  for key in ("shots", "cameras", "points"))
+        found = [files.find(name) for name in shots]
+        check_present([source for _, source in found])
         photos = [_photo(shots[shot], cameras, name, source)
-                  for shot, name, source in zip(shots, names, sources)]
-        points = _points(table, path.parent, list(shots))
-        reference = _reference(path, table)
-    except (ValueError, TypeError, OSError) as error:
-        raise InputError(f"{path}: not a reconstruction of OpenSfM, or damaged ({reason(error)}); "
-                         "copy it again") from None
+                  for shot, (name, source) in zip(shots, found)]
+        cloud = _points(points, path.parent, list(shots))
+        reference = _reference(path, record)
     if reference is None:
-        return project_scene(path, folder, files, photos, points, z_is_up=True, notes=notes)
-    placed, points, georeference, more = georeferenced(
-        path, photos, points, lambda: topocentric(*reference), "",
+        return project_scene(path, folder, files, photos, cloud, z_is_up=True, notes=notes)
+    placed, cloud, georeference, more = georeferenced(
+        path, photos, cloud, lambda: topocentric(*reference), "",
         f"OpenSfM's alignment of {len(photos)} photos")
-    return project_scene(path, folder, files, placed, points, georeference=georeference,
+    return project_scene(path, folder, files, placed, cloud, georeference=georeference,
                          z_is_up=True, notes=(*notes, *more))
 
 
 def _largest(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     """The reconstruction with the most photos, and notes about the others."""
     # a list, where `object_of` takes objects only
-    tables = object_of(b'{"all": ' + read_regular(path) + b"}")["all"]
-    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise ValueError("it is not a list of reconstructions")
-    counts = [len(_table(table, "shots")) for table in tables]
+    found = tables(object_of(b'{"all": ' + read_regular(path) + b"}")["all"], "it")
+    counts = [len(table(each.get("shots", {}), "shots")) for each in found]
     if not counts:
         raise ValueError("it holds no reconstruction")
     largest = int(np.argmax(counts))
     if len(counts) == 1:
-        return tables[0], ()
-    return tables[largest], (f"OpenSfM has split the scene into {len(counts)} parts; the largest, "
+        return found[0], ()
+    return found[largest], (f"OpenSfM has split the scene into {len(counts)} parts; the largest, "
                              f"with {counts[largest]} of {sum(counts)} photos, is used",)
 
 
-def _table(table: Mapping[str, Any], key: str) -> dict[str, Any]:
-    value = table.get(key, {})
-    if not isinstance(value, dict):
-        raise ValueError(f"{key} is not an object")
-    return value
-
-
-def _shots(table: Mapping[str, Any], files: PhotoFiles
-           ) -> tuple[dict[str, Any], list[str], list[Path]]:
-    """The shots with a pose, and the names and files of their photos."""
-    shots = _table(table, "shots")
-    found = [files.find(name) for name in shots]
-    return shots, [name for name, _ in found], [source for _, source in found]
-
-
-def _photo(shot: Any, cameras: Mapping[str, Any], name: str, source: Path) -> ProjectPhoto:
-    if not isinstance(shot, dict):
-        raise ValueError(f"shot {name[:80]} is not an object")
-    camera = cameras.get(str(shot.get("camera")))
-    if not isinstance(camera, dict):
-        raise ValueError(f"shot {name[:80]} has a camera that is missing")
+def _photo(shot: Any, cameras: Mapping[str, Any], name: str, source: Path) -> PosedPhoto:
+    shot = table(shot, f"shot {name[:80]}")
+    camera = table(cameras.get(str(shot.get("camera"))), f"the camera of shot {name[:80]}")
     rotation = Rotation.from_rotvec(
         numbers(shot.get("rotation"), 3, f"the rotation of {name[:80]}")).as_matrix()
     translation = numbers(shot.get("translation"), 3, f"the translation of {name[:80]}")
-    return ProjectPhoto(name, source, _optics(camera, image_size(source)), rotation,
+    return PosedPhoto(name, source, _optics(camera, image_size(source)), rotation,
                         -rotation.T @ translation)
 
 
@@ -146,7 +116,7 @@ def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> Optics:
     kind, longer = camera.get("projection_type", "perspective"), float(max(size))
 
     def value(key: str) -> float:
-        return finite(camera.get(key, 0.0), key)
+        return number(camera.get(key, 0.0), key)
 
     both = "focal" if "focal" in camera else "focal_x"
     focal = longer * value(both), longer * value("focal" if "focal" in camera else "focal_y")
@@ -163,18 +133,16 @@ def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> Optics:
     return brown(size, focal, centre, k[:3], (value("p1"), value("p2")))
 
 
-def _points(table: Mapping[str, Any], folder: Path, shots: list[str]) -> ProjectPoints | None:
-    points = _table(table, "points")
+def _points(points: Mapping[str, Any], folder: Path, shots: list[str]) -> Cloud | None:
     if not points:
         return None
     positions, colours = np.empty((len(points), 3)), np.empty((len(points), 3))
     for row, (name, point) in enumerate(points.items()):
-        if not isinstance(point, dict):
-            raise ValueError(f"point {name[:40]} is not an object")
+        point = table(point, f"point {name[:40]}")
         positions[row] = numbers(point.get("coordinates"), 3, f"point {name[:40]}")
         colours[row] = numbers(point.get("color"), 3, f"the colour of point {name[:40]}")
     tracks = folder / TRACKS
-    return ProjectPoints(positions, colours.clip(0, 255).round().astype(np.uint8),
+    return Cloud(positions, colours.clip(0, 255).round().astype(np.uint8),
                          _observations(tracks, list(points), shots) if tracks.is_file() else None)
 
 
@@ -192,17 +160,16 @@ def _observations(path: Path, points: list[str], shots: list[str]) -> NDArray[np
     return np.array(rows, np.int64).reshape(-1, 2)
 
 
-def _reference(path: Path, table: Mapping[str, Any]) -> tuple[float, float, float] | None:
+def _reference(path: Path, record: Mapping[str, Any]) -> tuple[float, float, float] | None:
     """Latitude, longitude and height of the origin; None if they are unknown, or if ODM has moved
     the reconstruction elsewhere."""
     if path.name == NAMES[1] and (path.parent / MOVED).exists():
         return None
-    reference = table.get("reference_lla")
+    reference = record.get("reference_lla")
     if reference is None and (path.parent / REFERENCE).is_file():
         reference = object_of(read_regular(path.parent / REFERENCE))
     if reference is None:
         return None
-    if not isinstance(reference, dict):
-        raise ValueError("reference_lla is not an object")
-    latitude, longitude, height = (finite(reference.get(key), key) for key in COORDINATES)
+    reference = table(reference, "reference_lla")
+    latitude, longitude, height = (number(reference.get(key), key) for key in COORDINATES)
     return latitude, longitude, height

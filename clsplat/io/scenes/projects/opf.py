@@ -11,7 +11,7 @@ COLMAP's. Radial and tangential distortion are in OpenCV's order. A fisheye has 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
@@ -20,27 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from clsplat.errors import InputError
 from clsplat.georeference import Georeference
+from clsplat.io.fields import number, numbers, pixels, reading, table, tables
 from clsplat.io.georeference.crs import has_pyproj, is_local, project_crs
 from clsplat.io.photos.images import image_size
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
+from clsplat.io.scenes.posed import FLIPPED, Optics, PosedPhoto, brown, only
 from clsplat.io.scenes.projects.opf_points import read_points
 from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
-from clsplat.io.scenes.projects.scene import (
-    FLIPPED,
-    NO_PYPROJ,
-    Optics,
-    ProjectPhoto,
-    brown,
-    finite,
-    numbers,
-    only,
-    pixels,
-    project_scene,
-)
+from clsplat.io.scenes.projects.scene import NO_PYPROJ, project_scene
 from clsplat.scene import Scene
 
 SUFFIX = ".opf"
@@ -67,7 +57,7 @@ def read_opf(path: Path, images: str = "") -> Scene:
     images : the folder of the photos, relative to the project's folder.
     """
     files = PhotoFiles(path.parent, images)
-    try:
+    with reading(path, "a project in OPF"):
         project = _Project(path)
         calibrated = project.object("calibrated-cameras")
         cameras = {_number(each): each for each in _objects(calibrated, "cameras")}
@@ -80,9 +70,6 @@ def read_opf(path: Path, images: str = "") -> Scene:
         tracks = project.tracks()
         points = tracks and read_points(tracks, list(found))
         georeference, notes = _georeference(project, len(photos))
-    except (ValueError, TypeError, OSError, LookupError) as error:
-        raise InputError(f"{path}: not a project in OPF, or damaged ({reason(error)}); "
-                         "export it again") from None
     return project_scene(path, path.parent, files, photos, points or None,
                          georeference=georeference, z_is_up=True, notes=notes)
 
@@ -92,7 +79,7 @@ class _Project:
 
     def __init__(self, path: Path) -> None:
         self.folder = path.parent
-        self.items = list(_objects(object_of(read_regular(path)), "items"))
+        self.items = _objects(object_of(read_regular(path)), "items")
 
     def paths(self, form: str, item: str = "") -> list[Path]:
         """The files of a format, in items of a type."""
@@ -108,11 +95,11 @@ class _Project:
                 raise ValueError(f"it has no {name.replace('-', ' ')}: calibrate the project")
             return {}
         try:
-            table = object_of(read_regular(paths[0]))
-            version = str(table.get("version", VERSIONS[-1]))
+            record = object_of(read_regular(paths[0]))
+            version = str(record.get("version", VERSIONS[-1]))
             if version.partition(".")[0] not in VERSIONS:
                 raise ValueError(f"version {version[:20]} of OPF is not read")
-            return table
+            return record
         except (OSError, ValueError) as error:
             raise ValueError(f"{paths[0].name[:80]}: {reason(error)}") from None
 
@@ -122,16 +109,13 @@ class _Project:
         return found[0] if found else None
 
 
-def _objects(table: Mapping[str, Any], key: str) -> Iterator[dict[str, Any]]:
-    values = table.get(key, [])
-    if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-        raise ValueError(f"{key} is not a list of objects")
-    yield from values
+def _objects(record: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
+    return tables(record.get(key, []), key)
 
 
-def _number(table: Mapping[str, Any], key: str = "id") -> int:
+def _number(record: Mapping[str, Any], key: str = "id") -> int:
     """A unique id, which drafts of the format write as text in hexadecimal."""
-    value = table.get(key)
+    value = record.get(key)
     if isinstance(value, str) and len(value) < 40:
         return int(value, 0)
     if type(value) is not int:
@@ -175,12 +159,12 @@ def _sizes(project: _Project) -> dict[int, tuple[int, int]]:
 
 
 def _photo(camera: Mapping[str, Any], sensors: Mapping[int, Mapping[str, Any]],
-           sizes: Mapping[int, tuple[int, int]], name: str, source: Path) -> ProjectPhoto:
+           sizes: Mapping[int, tuple[int, int]], name: str, source: Path) -> PosedPhoto:
     number = _number(camera, "sensor_id")
     if number not in sensors:
         raise ValueError(f"sensor {number} is missing")
     size = sizes[number] if number in sizes else image_size(source)
-    return ProjectPhoto(
+    return PosedPhoto(
         name, source, _optics(sensors[number].get("internals"), size),
         rotation_of(numbers(camera.get("orientation_deg"), 3, "orientation_deg")).T,
         numbers(camera.get("position"), 3, "position"))
@@ -195,12 +179,11 @@ def rotation_of(angles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _optics(internals: object, size: tuple[int, int]) -> Optics:
-    if not isinstance(internals, dict):
-        raise ValueError("a sensor has no internals")
+    internals = table(internals, "internals of a sensor")
     x, y = numbers(internals.get("principal_point_px"), 2, "principal_point_px").tolist()
     kind = internals.get("type")
     if kind == "perspective":
-        focal = finite(internals.get("focal_length_px"), "focal_length_px")
+        focal = number(internals.get("focal_length_px"), "focal_length_px")
         return brown(size, (focal, focal), (x, y), numbers(
             internals.get("radial_distortion"), 3, "radial_distortion").tolist(), numbers(
             internals.get("tangential_distortion"), 2, "tangential_distortion").tolist())
@@ -230,9 +213,7 @@ def _georeference(project: _Project, photos: int
     frame = project.object("scene-reference-frame", required=False)
     if not frame:
         return None, ()
-    crs, base = frame.get("crs", {}), frame.get("base_to_canonical", {})
-    if not isinstance(crs, dict) or not isinstance(base, dict):
-        raise ValueError("the scene reference frame is not an object")
+    crs, base = (table(frame.get(key, {}), key) for key in ("crs", "base_to_canonical"))
     definition = crs.get("definition", "")
     if not isinstance(definition, str):
         raise ValueError("the definition of the CRS is not text")

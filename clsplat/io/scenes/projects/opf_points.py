@@ -16,10 +16,11 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.io.fields import numbers
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import open_regular, read_regular
-from clsplat.io.scenes.projects.scene import ProjectPoints, numbers
+from clsplat.io.scenes.cloud import Cloud
 
 FLOAT, UINT, UBYTE = 5126, 5125, 5121  # glTF's numbers of component types
 KINDS: dict[int, np.dtype[Any]] = {
@@ -30,7 +31,7 @@ Z_UP = np.array([(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)])  # from ax
 OFFSET_BITS = 40  # of the first of a point's matches
 
 
-def read_points(path: Path, cameras: Sequence[int]) -> ProjectPoints | None:
+def read_points(path: Path, cameras: Sequence[int]) -> Cloud | None:
     """Read the points of a glTF file; None if it has none.
 
     Parameters
@@ -52,7 +53,7 @@ def read_points(path: Path, cameras: Sequence[int]) -> ProjectPoints | None:
         begins = np.cumsum([0, *map(len, positions)])
         observations = [_observations(match, cameras) + (begin, 0)
                         for match, begin in zip(matches, begins)]
-        return ProjectPoints(
+        return Cloud(
             np.concatenate(positions),
             np.concatenate(colours) if len(colours) == len(parts) else None,
             np.concatenate(observations) if len(matches) == len(parts) else None)

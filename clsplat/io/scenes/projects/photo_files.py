@@ -8,8 +8,8 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from clsplat.errors import InputError
+from clsplat.io.fields import CONTROL
 from clsplat.io.reason import MOST_CHARACTERS
-from clsplat.io.scenes.checks import CONTROL
 from clsplat.io.scenes.sources import PHOTO_SUFFIXES, photo_folder
 
 SCHEME = "file://"

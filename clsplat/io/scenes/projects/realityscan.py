@@ -25,21 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from clsplat.errors import InputError
+from clsplat.io.fields import number, numbers, reading
 from clsplat.io.photos.images import image_size
 from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular, read_regular
+from clsplat.io.scenes.posed import Optics, PosedPhoto, brown, only
 from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
-from clsplat.io.scenes.projects.scene import (
-    Optics,
-    ProjectPhoto,
-    brown,
-    finite,
-    numbers,
-    only,
-    project_scene,
-)
-from clsplat.io.scenes.projects.xml_file import root_of
+from clsplat.io.scenes.projects.scene import project_scene, root_of
 from clsplat.io.scenes.sources import IMAGES, PHOTO_SUFFIXES
 from clsplat.scene import Scene
 
@@ -79,14 +71,11 @@ def read_realityscan(path: Path, images: str = "") -> Scene:
     """
     folder = path.parent if path.is_file() or path.name == IMAGES else path
     files = PhotoFiles(folder, images)
-    try:
+    with reading(path, "a registration of RealityScan"):
         rows = _table(path) if path.is_file() else _sidecars(path)
         found = [files.find(name) for name in rows]
         check_present([source for _, source in found])
         photos = [_photo(row, name, source) for row, (name, source) in zip(rows.values(), found)]
-    except (ValueError, OSError) as error:
-        raise InputError(f"{path}: not a registration of RealityScan, or damaged "
-                         f"({reason(error)}); export it again") from None
     return project_scene(path, folder, files, photos)
 
 
@@ -174,21 +163,21 @@ def _sidecar(data: bytes) -> Row:
     return row
 
 
-def _photo(row: Row, name: str, source: Path) -> ProjectPhoto:
+def _photo(row: Row, name: str, source: Path) -> PosedPhoto:
     size = image_size(source)
     try:
         if "Rotation" in row:
             rotation = numbers(row["Rotation"], 9, "Rotation").reshape(3, 3)
-            return ProjectPhoto(name, source, _xmp_optics(row, size), rotation,
+            return PosedPhoto(name, source, _xmp_optics(row, size), rotation,
                                 numbers(row["Position"], 3, "Position"))
         if "r00" in row:
-            rotation = np.array([[finite(row.get(f"r{i}{j}"), f"R{i}{j}") for j in range(3)]
+            rotation = np.array([[number(row.get(f"r{i}{j}"), f"R{i}{j}") for j in range(3)]
                                  for i in range(3)])
-            translation = np.array([finite(row[key], key) for key in MATRIX[:3]])
-            return ProjectPhoto(name, source, _csv_optics(row, size), rotation,
+            translation = np.array([number(row[key], key) for key in MATRIX[:3]])
+            return PosedPhoto(name, source, _csv_optics(row, size), rotation,
                                 -rotation.T @ translation)
-        *position, yaw, pitch, roll = (finite(row[key], key) for key in ANGLES)
-        return ProjectPhoto(name, source, _csv_optics(row, size),
+        *position, yaw, pitch, roll = (number(row[key], key) for key in ANGLES)
+        return PosedPhoto(name, source, _csv_optics(row, size),
                             rotation_of(yaw, pitch, roll).T, np.array(position))
     except ValueError as error:
         raise ValueError(f"{name[:80]}: {error}") from None
@@ -204,22 +193,22 @@ def rotation_of(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
 def _csv_optics(row: Row, size: tuple[int, int]) -> Optics:
     longer = max(size)
     if "f_pix" in row:
-        focal, *centre = (finite(row.get(key), key) for key in ("f_pix", "px_pix", "py_pix"))
+        focal, *centre = (number(row.get(key), key) for key in ("f_pix", "px_pix", "py_pix"))
     else:
-        focal = longer * finite(row.get("f_35mm"), "f") / 36
-        centre = [side / 2 + longer * finite(row.get(key, "0"), key)
+        focal = longer * number(row.get("f_35mm"), "f") / 36
+        centre = [side / 2 + longer * number(row.get(key, "0"), key)
                   for side, key in zip(size, ("px_norm", "py_norm"))]
-    values = [finite(row.get(key, "0"), key) for key in COEFFICIENTS]
+    values = [number(row.get(key, "0"), key) for key in COEFFICIENTS]
     return _optics(size, (focal, focal), (centre[0], centre[1]), values, division=False)
 
 
 def _xmp_optics(row: Row, size: tuple[int, int]) -> Optics:
     longer = max(size)
-    if finite(row.get("Skew", "0"), "Skew") or finite(row.get("AspectRatio", "1"), "Aspect") != 1:
+    if number(row.get("Skew", "0"), "Skew") or number(row.get("AspectRatio", "1"), "Aspect") != 1:
         raise ValueError("its pixels are not square; align without skew and aspect ratio (models "
                          "K+Brown)")
-    focal = longer * finite(row["FocalLength35mm"], "FocalLength35mm") / 36
-    x, y = (side / 2 + longer * finite(row.get(f"PrincipalPoint{axis}", "0"), "PrincipalPoint")
+    focal = longer * number(row["FocalLength35mm"], "FocalLength35mm") / 36
+    x, y = (side / 2 + longer * number(row.get(f"PrincipalPoint{axis}", "0"), "PrincipalPoint")
             for side, axis in zip(size, "UV"))
     model = row.get("DistortionModel", "")
     if model not in MODELS:

@@ -99,7 +99,7 @@ def test_georeference(tmp_path, scene):
 
 
 @pytest.mark.parametrize("change, words", [
-    (lambda table: table.update(cameras={}), "camera that is missing"),
+    (lambda table: table.update(cameras={}), "the camera of shot .* is not an object"),
     (lambda table: table["shots"]["photo_0.png"].update(rotation=[0, 0]), "not 3 numbers"),
     (lambda table: table["cameras"]["v2 made"].update(projection_type="dual"), "dual is not read"),
     (lambda table: table.update(shots={}), "align the photos first"),

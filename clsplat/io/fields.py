@@ -1,0 +1,84 @@
+"""Values of JSON, XML and CSV that other programs wrote; ValueError says what is wrong with one."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.errors import InputError
+from clsplat.io.reason import reason
+
+LARGEST_COORDINATE = 1e15  # world units or pixels: squares and their sums stay within float32
+LONGEST_SIDE = 1 << 20  # pixels
+CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # control characters and line ends
+
+
+@contextmanager
+def reading(path: Path, what: str, cure: str = "export it again") -> Iterator[None]:
+    """Report what fails in a file while it is read as one line.
+
+    Parameters
+    ----------
+    what : the format with its article, for the message.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except (ValueError, TypeError, LookupError, OverflowError, OSError) as error:
+        raise InputError(f"{path}: not {what}, or damaged ({reason(error)}); {cure}") from None
+
+
+def number(value: object, what: str) -> float:
+    """A number of JSON or of text, which must be finite and of usable size."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError(f"{what} is not a number")
+    try:
+        result = float(value)
+    except (ValueError, OverflowError):
+        raise ValueError(f"{what} is not a number") from None
+    if not abs(result) <= LARGEST_COORDINATE:
+        raise ValueError(f"{what} is not a usable number")
+    return result
+
+
+def numbers(values: object, count: int, what: str) -> NDArray[np.float64]:
+    """float64[count] of a list of JSON or of words of text."""
+    if isinstance(values, str):
+        values = values.split()
+    if not isinstance(values, (list, tuple)) or len(values) != count:
+        raise ValueError(f"{what} is not {count} numbers")
+    return np.array([number(value, what) for value in values])
+
+
+def pixels(value: object, what: str) -> int:
+    """A side of a photo, pixels."""
+    side = number(value, what)
+    if side != int(side) or not 0 < side < LONGEST_SIDE:
+        raise ValueError(f"{what} is not a number of pixels")
+    return int(side)
+
+
+def text(value: object, what: str) -> str:
+    """A line of text."""
+    if not isinstance(value, str) or CONTROL.search(value):
+        raise ValueError(f"{what} is not valid text")
+    return value
+
+
+def table(value: object, what: str) -> dict[str, Any]:
+    """An object of JSON."""
+    if not isinstance(value, dict):
+        raise ValueError(f"{what} is not an object")
+    return value
+
+
+def tables(values: object, what: str) -> list[dict[str, Any]]:
+    """A list of objects of JSON."""
+    if not isinstance(values, list):
+        raise ValueError(f"{what} is not a list of objects")
+    return [table(value, f"an element of {what}") for value in values]
