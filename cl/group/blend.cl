@@ -12,8 +12,7 @@
 #define WORDS (PIXELS / 32) // of a bit mask with a bit a staged splat
 
 // Of a sub-tile that an ellipse reaches, some pixel nearly always is inside, so no pixel branches:
-// those outside have weight zero. Division is native where it was seen accurate. Both switches are
-// timed by tools/studies/blend_variants.py.
+// those outside have weight zero. Division is native where it was seen accurate.
 #ifndef NATIVE_DIVIDE
 #define NATIVE_DIVIDE (HAVE_NATIVE_DIVIDE && !REAL_IS_DOUBLE)
 #endif

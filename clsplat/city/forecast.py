@@ -26,7 +26,7 @@ GIB = 2**30
 COARSE_COST = 0.25  # time of the coarse run, as a share of the time of one run of the whole
 PLY_BYTES = 248  # of a gaussian with all spherical harmonics
 PART_BYTES = 708  # the same with Adam's moments, in a file of an exchange
-# for each block, of a cluster's scheduler, client and workers: tools/studies/simulate.py
+# for each block, of a cluster's scheduler, client and workers, measured with 40 workers that sleep
 DASK_SECONDS, DASK_BYTES = 0.05, 12_000
 # of the device's memory for parameters and moments: frames take as much again, photos a quarter,
 # and growth holds a part of the model twice for a moment

@@ -35,7 +35,6 @@ from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
 from clsplat.training.checkpoint import Checkpoint, gaussians_of
 from tests.data.tiny_training import CITY, model_digest
-from tools.studies import host_work
 
 OPTIONS = {"iterations": 130, "downscale": 8.0, "test_every": 0, "schedule": "constant",
            "sh_degree": 1, "sh_every": 1, "densify_from": 20, "densify_every": 40,
@@ -196,23 +195,6 @@ def test_arrays_of_another_length_are_refused(city, name):
     gaussians_of(arrays, 1)
     with pytest.raises(ValueError, match=name):
         gaussians_of({**arrays, name: arrays[name][:-1]}, 1)
-
-
-@pytest.mark.slow
-def test_the_study_of_host_work_changes_nothing(city, capsys):
-    block = city.block(0)
-    before = block.part(1).read_bytes()
-    host_work.main([str(block.path), "--repeats", "2", "--gaussians", "300"])
-    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [line["work"] for line in found] == ["part", "exchange", "floaters"]
-    assert all(0 < line["quartiles_s"][0] <= line["median_s"] <= line["quartiles_s"][1]
-               and line["peak_mib"] > 50 for line in found)
-    assert block.part(1).read_bytes() == before
-    assert sorted(path.name for path in block.part(1).parent.glob("exchange*")) == [
-        "exchange_1.npz"]
-    city.block(1).part(1).unlink()
-    with pytest.raises(InputError, match="have not come to their first exchange"):
-        host_work.main([str(block.path)])
 
 
 def test_exchanges_lie_in_the_second_half():

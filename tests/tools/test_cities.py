@@ -23,10 +23,10 @@ def test_one_command_makes_the_tables_and_repeats_nothing(tmp_path, monkeypatch,
     cities.main(words)
     page = (tmp_path / "cities.md").read_text()
     assert [line[4:] for line in page.splitlines() if line.startswith("### ")] == [
-        "As the area grows", "Against one run", "SIG on blocks"]
+        "As a city grows", "Merged against one run", "Sig on CityGS and on BlockGS"]
     assert " nan" not in page
     rows = {line.split(" | ")[0].strip("| "): line.strip("| ").split(" | ")[1:]
-            for line in page.split("### SIG")[0].splitlines() if line.startswith("|")}
+            for line in page.split("### Sig")[0].splitlines() if line.startswith("|")}
     assert rows["streets, and blocks"] == ["1x1", "2x2"]
     assert re.search(r"` on .+, commit [0-9a-f]{40}", page)
     assert rows["times its area"] == ["1.00", "4.00"]

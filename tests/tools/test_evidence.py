@@ -8,7 +8,9 @@ import pytest
 from clsplat.config.option import options_of
 from clsplat.options import TrainOptions
 from clsplat.partition.options import PartitionOptions
+from clsplat.report.page import Table
 from tools import evidence
+from tools.studies import study
 
 OPTIONS = {option.name: option for kind in (TrainOptions, PartitionOptions)
            for option in options_of(kind)}
@@ -51,6 +53,17 @@ def test_every_table_says_when_and_how_it_was_measured():
     (3.9e-7, "3.9e-07"), ("a|b", "a/b")])
 def test_a_cell(value, text):
     assert evidence.text_of(value, 2) == text
+
+
+def test_a_study_replaces_its_table_and_leaves_the_others(tmp_path, monkeypatch):
+    for name, folder in (("RESULTS", study), ("RESULTS", evidence)):
+        monkeypatch.setattr(folder, name, tmp_path)
+    lines = [{"page": "P", "about": "A."}, {"table": "one"}, {"x": 1}, {"table": "two"}, {"x": 2}]
+    (tmp_path / "p.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    study.keep("p", [Table("one", ("x",), [("3",), ("4",)], (0,), ("Note.",))], "clsplat x", "cpu")
+    kept = evidence.records(tmp_path / "p.jsonl")
+    assert kept[0] == lines[0] and kept[2:4] == [{"x": "3"}, {"x": "4"}] and kept[4:] == lines[3:]
+    assert kept[1]["text"] == "Note." and kept[1]["command"] == "clsplat x"
 
 
 def test_a_column_has_one_number_of_digits():

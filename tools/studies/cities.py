@@ -28,7 +28,7 @@ from clsplat.io.atomic import replacing
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.page import Table
-from tools.studies.evidence import Scene, cell, flags_after, markdown, outermost, refuse
+from tools.studies.study import Scene, cell, flags_after, keep, keeps, markdown, outermost, refuse
 
 STEPS_A_STREET = 300  # of a made city, for each of its K x K streets; so many photos show it:
 PHOTOS_A_STREET = 8
@@ -57,15 +57,16 @@ def main(argv):
         scenes.insert(0, ("made-city", made_city(work, *COMPARED), 1.0))
     command = f"python -m tools.studies.cities {shlex.join(argv)}"
     work.train("kernels", *growing(work, arguments.streets[0], arguments.size))  # builds them
-    parts = []
+    made = []
     for name in tables:
-        table = TABLES[name](work, scenes, arguments)
-        parts.append(markdown(table))
+        made.append(TABLES[name](work, scenes, arguments))
         with replacing(arguments.out / "cities.md") as file:
             file.write(("\n\n".join(
-                ["# Cities", f"Made by `{command}` on {work.machine}; do not edit.", *parts])
+                ["# Cities", f"Made by `{command}` on {work.machine}; do not edit.",
+                 *map(markdown, made)])
                 + "\n").encode())
-        print(f"\n{table.text()}\n", flush=True)
+        print(f"\n{made[-1].text()}\n", flush=True)
+    keep(arguments.keep, made, command, work.machine)
     refuse(work.failed)
 
 
@@ -83,6 +84,7 @@ def _parser():
     made.add_argument("--tables", nargs="+", choices=TABLES,
                       help="those that are made; default: all for which scenes and devices are "
                       "named")
+    keeps(made)
     made.add_argument("--no-compared", dest="compared", action="store_false",
                       help="leave out the made city of 3x3 streets")
     return made
@@ -190,7 +192,7 @@ def area_table(work, scenes, arguments):
              "the same of interior blocks, which have neighbours on all sides", "gaussians",
              "PSNR cc, dB")
     rows = [(name, *column) for name, column in zip(names, zip(*columns))]
-    return Table("As the area grows", head, rows, range(1, len(head)), (
+    return Table("As a city grows", head, rows, range(1, len(head)), (
         f"Photos of {arguments.size}, {PHOTOS_A_STREET} a street, `--method blockgs`.",))
 
 
@@ -233,7 +235,7 @@ def one_run_table(work, scenes, arguments):
                      *(cell(values.mean(), values.std(), 2) for values in (single, merged)),
                      cell((merged - single).mean(), None, 2, "+"),
                      *(cell(values.mean(), values.std(), 2) for values in (seam, worst))))
-    return Table("Against one run", (
+    return Table("Merged against one run", (
         "scene", "one run, s", "city, s", "ratio", "one run, cc", "city, cc", "difference",
         "seams, mean", "seams, worst"), rows, range(1, 9), (
         f"{arguments.seeds} seeds, mean and standard deviation; seconds of the whole command, "
@@ -256,8 +258,9 @@ def schedule_table(work, scenes, arguments):
             rows.append((name, method, cell(seconds, None, 1), cell(constant_seconds, None, 1),
                          cell(constant_seconds / seconds, None, 2), cell(cc, None, 2),
                          cell(constant_cc, None, 2)))
-    return Table("SIG on blocks", ("scene", "method", "sig, s", "constant, s", "times as fast",
-                                   "sig, cc", "constant, cc"), rows, range(2, 7))
+    return Table("Sig on CityGS and on BlockGS", (
+        "scene", "method", "sig, s", "constant, s", "times as fast", "sig, cc", "constant, cc"),
+        rows, range(2, 7))
 
 
 def device_table(work, scenes, arguments):

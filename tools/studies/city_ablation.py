@@ -36,7 +36,7 @@ import numpy as np
 
 from clsplat.evaluation.run import Run
 from clsplat.io.runs.run import RunFolder
-from tools.studies.evidence import Scene, flags_after
+from tools.studies.study import Scene, flags_after
 
 SCORES = ("psnr", "psnr_cc", "ssim")
 NO_JOINT = "none"

@@ -36,8 +36,8 @@ from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.io.scenes.read import is_scene
 from clsplat.options import resolve
 from clsplat.schedule import OURS
-from tools.studies.evidence import Scene, flags_after, outermost, refuse
 from tools.studies.judge_page import Division, Result, is_chosen, write_page
+from tools.studies.study import Scene, flags_after, keep, keeps, outermost, refuse
 
 RESULTS = "results.jsonl"
 SLOWER = 1.2  # how much longer than the longest run so far the next one may take
@@ -87,9 +87,11 @@ def main(argv):
           flush=True)
     failed = train_all(list(missing.values()), file, arguments, begin)
     known = read_results(arguments.out)
-    write_page(arguments.out / "judge.md", arguments.baseline, arguments.chosen, arguments.flags,
-               [Result(run.name, run.division, known[run.key]) for run in runs
-                if run.key in known], len(runs))
+    results = [Result(run.name, run.division, known[run.key]) for run in runs if run.key in known]
+    tables = write_page(arguments.out / "judge.md", arguments.baseline, arguments.chosen,
+                        arguments.flags, results, len(runs))
+    keep(arguments.keep, tables, f"python -m tools.studies.judge {shlex.join(argv)}",
+         " / ".join({str(result.values.get("opencl_device")) for result in results}))
     refuse(failed)
 
 
@@ -117,7 +119,8 @@ def parsed(argv):
                         help="end the call after so long (default: when all is done)")
     parser.add_argument("--part", type=part, default=(1, 1), metavar="I/N",
                         help="take the I-th of N shares of the runs")
-    parser.add_argument("--keep", action="store_true", help="keep the run folders in OUT/runs")
+    keeps(parser)
+    parser.add_argument("--keep-runs", action="store_true", help="keep the folders in OUT/runs")
     words, flags = flags_after(argv)
     arguments = parser.parse_args(words, argparse.Namespace(flags=flags))
     arguments.chosen = [word for word in arguments.chosen.split(",") if word]
@@ -259,7 +262,7 @@ def train_all(runs, file, arguments, begin):
             continue
         with file.open("a", encoding="utf-8") as lines:
             lines.write(json.dumps(result) + "\n")
-        if not arguments.keep:
+        if not arguments.keep_runs:
             shutil.rmtree(folder)
         seconds = time.monotonic() - started
         longest[run.division.steps] = max(seconds, longest.get(run.division.steps, 0))

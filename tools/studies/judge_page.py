@@ -5,7 +5,7 @@ is the mean over sets.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from clsplat.io.atomic import replacing
 from clsplat.report.curves import reached, spread
 from clsplat.report.page import Table
-from tools.studies.evidence import cell, markdown
+from tools.studies.study import cell, markdown
 
 CC, PLAIN = "psnr_cc", "psnr"
 # of a result: title, key, digits
@@ -144,7 +144,7 @@ def time_to(baseline):
 
 
 def write_page(path, baseline, chosen, flags, results, wanted):
-    """Write the page.
+    """Write the page, and return its tables.
 
     Parameters
     ----------
@@ -155,18 +155,20 @@ def write_page(path, baseline, chosen, flags, results, wanted):
     results : of the finished runs.
     wanted : how many runs the study has.
     """
-    parts = ["# Judge", facts(results, flags, wanted), divisions(results, chosen)]
+    parts, made = ["# Judge", facts(results, flags, wanted), divisions(results, chosen)], []
     for steps in sorted({result.division.steps for result in results}):
         compared = Compared([r for r in results if r.division.steps == steps])
         if baseline not in compared.names or not compared.cells:
             parts.append(f"## {steps:,} steps\n\nNo division has a run of every column yet.")
             continue
-        parts += [f"## {steps:,} steps", *map(markdown, (
-            score_table(compared), baseline_table(compared, baseline, chosen),
-            set_table(compared, baseline)))]
+        tables = (score_table(compared), baseline_table(compared, baseline, chosen),
+                  set_table(compared, baseline))
+        made += [replace(table, title=f"{steps:,} steps: {table.title}") for table in tables]
+        parts += [f"## {steps:,} steps", *map(markdown, tables)]
     with replacing(path) as file:
         file.write(("\n\n".join(parts) + "\n").encode())
     print(f"{path}: {len(results)} of {wanted} runs")
+    return made
 
 
 def facts(results, flags, wanted):

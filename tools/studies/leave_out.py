@@ -33,7 +33,7 @@ from clsplat.report.page import Table
 from clsplat.training.photos import Photos
 from clsplat.training.prepare import prepare
 from clsplat.training.session import Session
-from tools.studies.evidence import Scene, markdown, outermost
+from tools.studies.study import Scene, keep, keeps, markdown, outermost
 
 ON, OFF = "everything on", "everything off"
 # part -> (options with it, options without)
@@ -70,11 +70,13 @@ def main(argv):
         with replacing(arguments.out / "leave_out.jsonl") as file:
             file.writelines((json.dumps(record) + "\n").encode() for record in records)
     tables = [table(name, [r for r in records if r["scene"] == name]) for name, _ in scenes]
+    command = f"python -m tools.studies.leave_out {shlex.join(argv)}"
     with replacing(arguments.out / "leave_out.md") as file:
-        note = f"Made by `python -m tools.studies.leave_out {shlex.join(argv)}`; do not edit."
+        note = f"Made by `{command}`; do not edit."
         file.write("\n\n".join(["# The cost of parts of a step", note, *map(markdown, tables), ""]
                               ).encode())
     print(f"{arguments.out / 'leave_out.md'}")
+    keep(arguments.keep, tables, command, records[0]["device"])
 
 
 def _parser():
@@ -85,6 +87,7 @@ def _parser():
     made.add_argument("--gaussians", type=int, default=100_000, help="default 100000")
     made.add_argument("--repeats", type=int, default=40,
                       help="number of timed steps for each row; default 40")
+    keeps(made)
     made.add_argument("--device", default="auto")
     made.add_argument("--form", default="auto", choices=("auto", "item", "group"))
     return made
@@ -163,8 +166,9 @@ def table(name, records):
              f"{full['median_ms'] / r['median_ms']:.2f}", f"{r['device_mib']:.0f}",
              f"{r['device_mib'] - full['device_mib']:+.0f}") for r in records]
     return Table(
-        f"{name}, {full['width']}x{full['height']}, {full['gaussians']:,} gaussians",
-        ("", "ms a step", "quartiles", "times faster", "MiB", "to everything on"), rows,
+        f"What parts of a step cost: {name}",
+        (f"{full['width']}x{full['height']}, {full['gaussians']:,} gaussians", "ms a step",
+         "quartiles", "times faster", "MiB", "to everything on"), rows,
         range(1, 6), (f"{full['device']}, form {full['form']}, driver {full['driver']}; "
                       f"{full['repeats']} steps for each row on at most {VIEWS} photos.",))
 

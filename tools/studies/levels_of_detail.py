@@ -24,7 +24,7 @@ from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.run import Run, to_render
 from clsplat.evaluation.streamed import Streaming, open_tree
 from clsplat.evaluation.views import opened, photo_of, render_view
-from tools.studies.evidence import outermost
+from tools.studies.study import outermost
 
 SUPERSAMPLING = 4  # samples a pixel along each axis
 COLUMNS = {"gaussians": "11,.0f", "share": "8.1%", "psnr_full": "10.2f", "psnr": "8.2f",

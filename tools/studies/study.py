@@ -1,13 +1,18 @@
-"""The arguments and the tables of the studies."""
+"""What the studies share: arguments, tables, and how these become evidence."""
 
+import json
 import re
 import sys
+from datetime import date
 from pathlib import Path
 
 import numpy as np
 
 from clsplat.cli.main import verdict
 from clsplat.errors import InputError
+from clsplat.io.runs.origin import checkout_commit
+
+RESULTS = Path(__file__).parent / "results"
 
 
 class Scene:
@@ -48,6 +53,49 @@ def markdown(table):
     rule = [("---:" if column in table.numbers else "---") for column in range(len(table.head))]
     lines = [row(table.head), row(rule), *map(row, table.rows)]
     return "\n\n".join([f"### {table.title}", "\n".join(lines), *table.notes])
+
+
+def keeps(parser):
+    """Add the argument that makes evidence of a study's tables."""
+    parser.add_argument("--keep", metavar="PAGE", help="put the tables into the results of this "
+                        "page of the evidence, in place of those with their titles")
+
+
+def keep(page, tables, command, device):
+    """Put measured tables into the results of a page of the evidence.
+
+    `python -m tools.evidence` makes the page of them.
+
+    Parameters
+    ----------
+    page : name of a file of tools/studies/results/, without its suffix; None: nothing is done.
+    tables : those of `report.page`; they replace tables with their titles.
+    command, device : how and where they were measured.
+    """
+    if page is None:
+        return
+    path = RESULTS / f"{page}.jsonl"
+    head, *blocks = blocks_of(path.read_text("utf-8").splitlines())
+    for table in tables:
+        facts = {"table": table.title, "date": date.today().isoformat(),
+                 "commit": (checkout_commit() or "unknown")[:7], "device": device,
+                 "command": command, "source": "this command", "text": " ".join(table.notes)}
+        rows = [dict(zip(table.head, row)) for row in table.rows]
+        place = next((number for number, block in enumerate(blocks)
+                      if json.loads(block[0])["table"] == table.title), len(blocks))
+        blocks[place:place + 1] = [[json.dumps(line, ensure_ascii=False)
+                                    for line in (facts, *rows)]]
+    path.write_text("\n".join(line for block in (head, *blocks) for line in block) + "\n", "utf-8")
+
+
+def blocks_of(lines):
+    """The lines of a file of results: its head, and those of each table."""
+    blocks = []
+    for line in lines:
+        if not blocks or "table" in json.loads(line):
+            blocks.append([])
+        blocks[-1].append(line)
+    return blocks
 
 
 def refuse(failed):
