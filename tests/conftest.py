@@ -10,15 +10,14 @@ changes of it, it changes with monkeypatch.
 import functools
 import os
 from collections import Counter
-from pathlib import Path
 
 import pytest
+from filelock import FileLock
+
+from tests.shared_kernels import SharedKernels
 
 WORKER = os.environ.get("PYTEST_XDIST_WORKER")
-if WORKER:  # PoCL's cache of built kernels is not safe across processes
-    folder = Path.home() / ".cache" / "clsplat-tests" / WORKER
-    folder.mkdir(parents=True, exist_ok=True)
-    os.environ.setdefault("POCL_CACHE_DIR", str(folder))
+KERNELS = SharedKernels(WORKER) if WORKER else None
 
 from clsplat.device import Device, choose_device, list_devices  # noqa: E402  (reads the environment above)
 
@@ -54,6 +53,17 @@ def pytest_collection_modifyitems(items):
             if cases[item.function] % marker.args[0]:
                 item.add_marker("slow")
             cases[item.function] += 1
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kernels_of_all_workers():
+    if KERNELS:
+        KERNELS.exchange()
+
+
+def pytest_sessionfinish():
+    if KERNELS:
+        KERNELS.exchange(at_once=True)
 
 
 def _is_worth_it(entry, precision):
@@ -134,6 +144,32 @@ def city():
     from tests.data.tiny_training import CITY
 
     return read_scene(CITY)
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory):
+    """once(name, make): the folder that `make(folder)` has filled, in one worker for all of them;
+    not to be changed."""
+    root = tmp_path_factory.getbasetemp()
+    root = root.parent if WORKER else root
+
+    def made(name, make):
+        with FileLock(root / f"{name}.lock"):
+            if not (root / f"{name}.done").exists():
+                make(root / name)
+                (root / f"{name}.done").touch()
+        return root / name
+    return made
+
+
+@pytest.fixture(scope="session")
+def levelled(once, item_device, city):
+    """The run of a training of the whole method, for all that only read one."""
+    from clsplat.io.runs.run import RunFolder
+    from tests.data.tiny_training import LEVELLED, trained
+
+    return RunFolder.open(once("levelled", lambda folder: trained(
+        folder, city, item_device, **LEVELLED)))
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from importlib.machinery import SourceFileLoader
 
 import pytest
 
+from tests.shared_kernels import SharedKernels
 from tests.test_layout import ROOT
 
 CONFIG = configparser.ConfigParser()
@@ -116,6 +117,21 @@ def test_a_bare_clone_must_see_one_runtime(tmp_path, rows, passes):
     done = subprocess.run([tmp_path / "clone/.ci/bare", "Intel(R) OpenCL", "-q"], check=False,
                           capture_output=True, text=True)
     assert (done.returncode == 0, "tests -q" in done.stdout) == (passes, passes), done.stdout
+
+
+def test_workers_share_what_they_compile(tmp_path, monkeypatch):
+    monkeypatch.setenv("POCL_CACHE_DIR", "")
+    one, other = (SharedKernels(name, tmp_path) for name in ("gw0", "gw1"))
+    (one.own / "AA/kernel").mkdir(parents=True)
+    (one.own / "AA/kernel/a.so").write_text("compiled")
+    one.exchange()
+    other.exchange()
+    assert (other.own / "AA/kernel/a.so").read_text() == "compiled"
+    (other.own / "AA/kernel/b.so").write_text("compiled")
+    other.exchange()
+    assert not (other.shared / "AA/kernel/b.so").exists()  # not for each file of tests
+    other.exchange(at_once=True)
+    assert sorted(path.name for path in (one.shared / "AA/kernel").iterdir()) == ["a.so", "b.so"]
 
 
 def test_readme_has_no_placeholder_that_nothing_replaces(listed):
