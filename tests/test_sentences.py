@@ -254,7 +254,8 @@ def test_pages(page):
 
 def shell_text():
     return "".join((ROOT / name).read_text("utf-8")
-                   for name in ("tools/install", "tools/test", "tools/quickstart", ".ci/run"))
+                   for name in ("tools/install", "tools/test", "tools/quickstart", ".ci/steps",
+                                ".ci/run", ".ci/nightly"))
 
 
 def test_help():

@@ -1,7 +1,7 @@
 """PlayCanvas' splat-transform reads what clsplat writes: the same positions, colours and axes.
 
 It is a Node package: `npm install @playcanvas/splat-transform@2.7.1` somewhere, and name that
-folder in CLSPLAT_NODE_MODULES. .ci/run does so.
+folder in CLSPLAT_NODE_MODULES. .ci/nightly does so.
 """
 
 import json
