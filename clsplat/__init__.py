@@ -10,6 +10,7 @@ TYPE_CHECKING = False  # type checkers take it for true; `typing` would take a w
 if TYPE_CHECKING:
     from clsplat.api.device import Device as Device
     from clsplat.api.gaussians import Gaussians as Gaussians
+    from clsplat.api.options import TrainOptions as TrainOptions
     from clsplat.api.renderer import Frame as Frame
     from clsplat.api.renderer import Renderer as Renderer
     from clsplat.api.renderer import render as render
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from clsplat.api.score import Score as Score
     from clsplat.api.score import evaluate as evaluate
     from clsplat.api.train import train as train
+    from clsplat.api.trainer import Trainer as Trainer
+    from clsplat.api.trainer import TrainingStep as TrainingStep
     from clsplat.camera import Camera as Camera
     from clsplat.config.option import option as option
     from clsplat.errors import ClsplatError as ClsplatError
@@ -26,22 +29,26 @@ if TYPE_CHECKING:
     from clsplat.georeference import Georeference as Georeference
     from clsplat.schedule.plan import Plan as Plan
     from clsplat.schedule.plan import Schedule as Schedule
+    from clsplat.training.part import Part as Part
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "Camera": "clsplat.camera", "ClsplatError": "clsplat.errors", "Device": "clsplat.api.device",
     "Frame": "clsplat.api.renderer", "Gaussians": "clsplat.api.gaussians",
-    "Georeference": "clsplat.georeference",
-    "Plan": "clsplat.schedule.plan", "Renderer": "clsplat.api.renderer",
-    "Run": "clsplat.api.run", "Scene": "clsplat.api.scene", "Schedule": "clsplat.schedule.plan",
-    "Score": "clsplat.api.score", "StopTraining": "clsplat.errors", "View": "clsplat.api.scene",
-    "evaluate": "clsplat.api.score", "render": "clsplat.api.renderer",
-    "option": "clsplat.config.option", "train": "clsplat.api.train"}
+    "Georeference": "clsplat.georeference", "Part": "clsplat.training.part",
+    "Plan": "clsplat.schedule.plan", "Renderer": "clsplat.api.renderer", "Run": "clsplat.api.run",
+    "Scene": "clsplat.api.scene", "Schedule": "clsplat.schedule.plan",
+    "Score": "clsplat.api.score", "StopTraining": "clsplat.errors",
+    "TrainOptions": "clsplat.api.options", "Trainer": "clsplat.api.trainer",
+    "TrainingStep": "clsplat.api.trainer", "View": "clsplat.api.scene",
+    "evaluate": "clsplat.api.score", "option": "clsplat.config.option",
+    "render": "clsplat.api.renderer", "train": "clsplat.api.train"}
 
-__all__ = ["Camera", "ClsplatError", "Device", "Frame", "Gaussians", "Georeference", "Plan",
-           "Renderer", "Run", "Scene", "Schedule", "Score", "StopTraining", "View", "evaluate",
-           "option", "render", "train"]
+__all__ = ["Camera", "ClsplatError", "Device", "Frame", "Gaussians", "Georeference", "Part",
+           "Plan", "Renderer", "Run", "Scene", "Schedule", "Score", "StopTraining",
+           "TrainOptions", "Trainer", "TrainingStep", "View", "evaluate", "option", "render",
+           "train"]
 
 
 def __getattr__(name: str) -> object:

@@ -82,8 +82,9 @@ def test_blocks_of_python_are_python():
 
 
 def test_files_md_names_every_key_of_the_metrics(item_device, tmp_path):
-    run = clsplat.train(CITY, tmp_path / "run", device=item_device, iterations=60, downscale=8,
-                        densify_from=10, densify_every=20, schedule="constant")
+    options = clsplat.TrainOptions(iterations=60, downscale=8, densify_from=10, densify_every=20,
+                                   schedule="constant")
+    run = clsplat.train(CITY, options, output=tmp_path / "run", device=item_device)
     said = set(re.findall(r"`(\w+)`", page("files.md").partition("## metrics.jsonl")[2]))
     events = {record["event"] for record in run.metrics}
     assert {"plan", "step", "grow", "eval"} <= events <= said

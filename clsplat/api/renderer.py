@@ -165,13 +165,7 @@ class Renderer:
         ------
         clsplat.ClsplatError : for an unknown field, or one of another shape.
         """
-        known, arrays = {field.name: field for field in LEARNED}, {}
-        for name, values in fields.items():
-            if name not in known:
-                raise InputError(f"{name}: not a field of gaussians; these are {', '.join(known)}")
-            arrays[name] = _as_numpy(values, name)
-            check_field(known[name], arrays[name], self.model.count, self.model.sh_degree)
-        for name, array in arrays.items():
+        for name, array in checked_fields(fields, self.model.count, self.model.sh_degree).items():
             self._rows[name].write(array)
 
     def download(self) -> api.Gaussians:
@@ -252,6 +246,18 @@ class Renderer:
         if array.ndim == 3:
             array = array.transpose(2, 0, 1)
         return self.device.upload(np.ascontiguousarray(array, self.device.real))
+
+
+def checked_fields(fields: dict[str, Any], count: int, sh_degree: int
+                   ) -> dict[str, NDArray[np.float32]]:
+    """New parameters of gaussians as arrays; InputError if one does not fit the model."""
+    known, arrays = {field.name: field for field in LEARNED}, {}
+    for name, values in fields.items():
+        if name not in known:
+            raise InputError(f"{name}: not a field of gaussians; these are {', '.join(known)}")
+        arrays[name] = _as_numpy(values, name)
+        check_field(known[name], arrays[name], count, sh_degree)
+    return arrays
 
 
 def _checked(model: Gaussians, background: Any, near: float | None

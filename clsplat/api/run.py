@@ -8,6 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from clsplat import scene as core
 from clsplat.api.gaussians import Gaussians
 from clsplat.api.scene import Scene
 from clsplat.api.score import Score
@@ -18,6 +19,7 @@ from clsplat.evaluation.views import evaluate_run, final_metrics
 from clsplat.report.notebook import run_page
 from clsplat.training.checkpoint import latest_model
 from clsplat.training.loop import resume
+from clsplat.training.part import Part
 
 
 class Run(run.Run):
@@ -43,13 +45,16 @@ class Run(run.Run):
         """
         return Scene.of(super().scene(path, whole=whole))
 
-    def resume(self, *, device: Device | None = None,
+    def resume(self, *, device: Device | None = None, scene: core.Scene | None = None,
+               parts: Iterable[Part] = (),
                callbacks: Iterable[Callable[[dict[str, Any]], object]] = ()) -> None:
         """Continue a training that was stopped, from its last checkpoint to its end.
 
         Parameters
         ----------
         device : an open device; None: that of the run's option.
+        scene : as it was given to the training; None: it is read where the run has recorded it.
+        parts : those that were given to the training.
         callbacks : as for `clsplat.train`.
 
         Raises
@@ -58,9 +63,10 @@ class Run(run.Run):
         """
         options = replace(self.options, stop_at=0)
         device = device or choose_device(options.device, form=options.form)
+        scene = scene or super().scene(whole=True)
         with self.folder.locked():
             try:
-                resume(super().scene(whole=True), options, device, self.folder, callbacks=callbacks)
+                resume(scene, options, device, self.folder, callbacks=callbacks, parts=parts)
             except Interrupted as error:
                 if not error.planned:
                     raise

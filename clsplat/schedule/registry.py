@@ -22,6 +22,24 @@ def others() -> dict[str, EntryPoint]:
             if entry.name not in OURS}
 
 
+def offered(schedule: type[Schedule]) -> str:
+    """The name under which a class that no package registers is known in this process.
+
+    Parameters
+    ----------
+    schedule : a class of a module; its name in small letters becomes that of the schedule.
+    """
+    name, place = schedule.__name__.lower(), f"{schedule.__module__}:{schedule.__qualname__}"
+    known = OURS.get(name) or others().get(name)
+    if known is None or name not in OURS and known.dist is None:
+        others()[name] = EntryPoint(name, place, GROUP)
+        schedule_of.cache_clear()
+    elif known.value != place:
+        raise InputError(f"{name}: is the name of another schedule, {known.value}; give the class "
+                         "another name")
+    return name
+
+
 @cache
 def schedule_of(name: str) -> type[Schedule]:
     """The class of a schedule, which is imported here, and nowhere before it is asked for.

@@ -74,15 +74,9 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     """
     training = Training(scene, options, device, run, progress, callbacks=callbacks,
                         watcher=watcher, on_save=on_save, parts=parts)
-    session = training.session
     with training.resumable():
-        warnings = find_warnings(session.scene, session.train_views,
-                                 session.model.rows["opacity_logits"].download())
-        run.write_options({**run_record(scene, options, device),
-                           "decisions": session.decisions.values})
-        run.write_placement(scene)
-        training.recorded = True
-        training.begin(warnings)
+        training.record(scene, options)
+        training.begin()
         training.run_to_end()
 
 
@@ -137,6 +131,7 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         (record["iteration"] for record in run.past_records() if record.get("event") == "eval"),
         default=None)
     with training.resumable():
+        training.begin()
         training.run_to_end()
 
 
@@ -189,9 +184,20 @@ class Training:
         self._measured: list[Measured] = []  # by the latest step
         progress.phase("compiling kernels")  # of the first step
 
-    def begin(self, warnings: Iterable[str]) -> None:
-        """Write the first records of a new run, and show its warnings."""
+    def record(self, scene: Scene, options: TrainOptions) -> None:
+        """Write the options and the first records of a new run, and show its warnings.
+
+        Parameters
+        ----------
+        scene, options : as they were given.
+        """
         session = self.session
+        warnings = find_warnings(session.scene, session.train_views,
+                                 session.model.rows["opacity_logits"].download())
+        self.run.write_options({**run_record(scene, options, session.device),
+                                "decisions": session.decisions.values})
+        self.run.write_placement(scene)
+        self.recorded = True
         self.clock.add(session.start_seconds)
         self.clock.restart()
         self.recorder.log("plan", reasons=session.decisions.reasons,
@@ -208,15 +214,9 @@ class Training:
         and once they are finished no checkpoint, which is three times as large as the model.
         """
         is_part = is_part_of_city(self.session.scene, self.session.options)
-        self.clock.restart()
-        self._saved_at, self._save_seconds = self.clock.elapsed(), 0.0
-        if self.deadline:
-            self.deadline.begin()
         with deferred_interrupt() as interrupted:
             while not (self.finished() or self.stops() or interrupted()):
                 self.take_step()
-                if self._saves() and not self.finished():
-                    self.save()
             if self.finished() and is_part:
                 with self.clock.paused():
                     if self._measured:
@@ -239,6 +239,13 @@ class Training:
             self.progress.phase("writing the report")
             draw_report(self.run, self.session, self._scene, self.evaluator.per_view)
         self.recorder.raise_failure()
+
+    def begin(self) -> None:
+        """Start the clocks; the first step follows."""
+        self.clock.restart()
+        self._saved_at, self._save_seconds = self.clock.elapsed(), 0.0
+        if self.deadline:
+            self.deadline.begin()
 
     @contextmanager
     def resumable(self) -> Iterator[None]:
@@ -276,7 +283,7 @@ class Training:
                 or self.recorder.stop)
 
     def take_step(self) -> None:
-        """Take one step with all that follows it."""
+        """Take one step with all that follows it, a checkpoint that is due included."""
         session, deadline = self.session, self.deadline
         step, iteration = session.step, session.iteration + 1
         plan = session.schedule.plan(iteration)
@@ -320,6 +327,12 @@ class Training:
         if self.watcher and self.watcher.is_due():
             with self.clock.paused():
                 self.watcher.draw(session)
+        if self._saves() and not self.finished():
+            self.save()
+
+    def latest_values(self) -> dict[str, float]:
+        """The terms of the loss at the latest step; waits. InputError if one is not finite."""
+        return self.recorder.check(self._measured)
 
     def view_of(self, number: int) -> int:
         """Index of the number-th view (from 1) that is trained on.

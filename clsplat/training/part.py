@@ -179,6 +179,10 @@ class ViewPass:
 class Part:
     """A part of a training; every hook may be left out.
 
+    `session` is the state of the training (training/session.py), `prepared` its scene with all
+    decisions, and `survey` what decisions are made from. In a step, `now` is the step as all its
+    views see it, `sample` and `work` are a view of it, and `inputs` what `inputs` returned for it.
+
     Attributes
     ----------
     name : key of its state in checkpoints, and of its records.
@@ -214,7 +218,7 @@ class Part:
         return True
 
     def begin(self, session: Session) -> None:
-        """Allocate what it needs; there are photos, and no gaussians yet."""
+        """Allocate what it needs; `session` has photos, and no gaussians yet."""
 
     def rows_changed(self, model: Model, growth: Growth | None) -> None:
         """Follow a change of the rows of gaussians.
@@ -226,7 +230,7 @@ class Part:
         """
 
     def visits(self, views: Sequence[View]) -> NDArray[Any] | None:
-        """How often each view is trained on, in any unit; None: as often as every other."""
+        """How often each of `views` is trained on, in any unit; None: as often as every other."""
         return None
 
     # --- between steps; these may wait for the device
@@ -286,11 +290,12 @@ class Part:
     # --- results
 
     def values(self, measured: list[Any]) -> dict[str, float]:
-        """Numbers for the record, from what `add_to` returned for each view of a step; waits."""
+        """Numbers for the record, from `measured`, which `add_to` returned for each view of a step;
+        waits."""
         return {}
 
     def corrected(self, views: Sequence[View]) -> Sequence[View]:
-        """The training views, at any size, with what was learned of their cameras; waits."""
+        """The training `views`, at any size, with what was learned of their cameras; waits."""
         return views
 
     def state(self) -> State:
@@ -301,7 +306,7 @@ class Part:
         """Go on from what `state` returned; KeyError names what it lacks."""
 
     def write(self, run: RunFolder, session: Session) -> None:
-        """Write its files of a finished run."""
+        """Write its files into the folder of a finished `run`."""
 
 
 def overriding(parts: Sequence[Part], hook: str) -> list[Part]:

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from clsplat.cli.progress import Progress, bar, clock, fitted
-from clsplat.training.progress import SilentProgress
+from clsplat.cli.progress import Progress, clock
 
 ROOT = Path(__file__).resolve().parents[2]
 TOLD = {"loss": 0.1542, "gaussians": 1_229_336, "memory_bytes": 9 << 30, "level": 3.0}
@@ -71,14 +70,6 @@ def test_a_terminal_gets_one_line_that_fits(columns, monkeypatch):
         assert "1,229,336 gaussians, 9,216 MiB" in training[-1]
 
 
-def test_the_least_important_fields_are_left_out_first():
-    fields = [(0, "training"), (2, "left"), (1, "5/9"), (3, "speed")]
-    assert fitted(fields, 26) == "training, left, 5/9, speed"
-    assert fitted(fields, 25) == "training, left, 5/9"
-    assert fitted(fields, 15) == "training, 5/9"
-    assert fitted(fields, 5) == "train"
-
-
 @pytest.mark.parametrize("seconds, text", [(0.4, "0s"), (59, "59s"), (65, "1:05"),
                                            (3722, "1:02:02"), (-1, "0s")])
 def test_time_left_is_short(seconds, text):
@@ -108,18 +99,6 @@ def test_things_are_counted(monkeypatch):
     assert log.getvalue().splitlines()[-1] == "photo 12 of 48, 36s left"
 
 
-def test_a_log_has_the_last_of_what_is_counted_before_what_follows(monkeypatch):
-    log, clock = io.StringIO(), Clock(monkeypatch)
-    with Progress(file=log) as progress:
-        for tile in range(1, 5):
-            clock.now += 1
-            progress.count("tile", tile, 4)
-        progress.phase("writing files")
-        progress.message("done")
-    assert log.getvalue().splitlines() == [
-        "tile 1 of 4", "tile 4 of 4, 3s so far", "writing files", "done"]
-
-
 def mapping_photos(progress, clock):
     """Features are counted, mapping is not, and counting ends long before the work."""
     for photo in range(1, 4):
@@ -144,22 +123,6 @@ def test_what_nothing_foretells_shows_the_time_that_passed(monkeypatch):
     assert not any(", 0s left" in line for line in lines)
 
 
-def late(progress, clock):
-    """The last of four tiles takes ten times as long as the others."""
-    for tile in range(1, 4):
-        clock.now += 5
-        progress.count("tile", tile, 4)
-    for _ in range(4):
-        clock.now += 2
-        progress._draw_line()
-
-
-def test_a_forecast_runs_out(monkeypatch):
-    lines = [line.strip() for line in drawn(80, late, monkeypatch)]
-    times = [line.rpartition(", ")[2] for line in lines if line.startswith("tile 3")]
-    assert times == ["5s left", "3s left", "1s left", "16s so far", "18s so far"]
-
-
 def test_a_terminal_is_drawn_while_a_library_works(monkeypatch):
     monkeypatch.setattr("clsplat.cli.progress.TICK_SECONDS", 0.01)
 
@@ -169,12 +132,6 @@ def test_a_terminal_is_drawn_while_a_library_works(monkeypatch):
         threading.Event().wait(0.2)
 
     assert "global mapping, 7s so far" in [line.strip() for line in drawn(80, works, monkeypatch)]
-
-
-@pytest.mark.parametrize("done, total, shown", [(0, 3, 0), (1, 3, 6), (3, 3, 20), (9, 3, 20),
-                                                (0, 0, 0)])
-def test_a_bar(done, total, shown):
-    assert bar(done, total) == f"[{'#' * shown}{'-' * (20 - shown)}]"
 
 
 class Failing(io.StringIO):
@@ -208,12 +165,6 @@ def test_characters_that_a_terminal_lacks(monkeypatch):
     with Progress(file=io.TextIOWrapper(raw, "ascii", write_through=True)) as progress:
         progress.message("Zürich \udcff")
         assert raw.getvalue() == b"Z\\xfcrich \\udcff\n"
-
-
-def test_silence_takes_all_that_progress_takes():
-    for name in ("__call__", "message", "phase"):
-        assert hasattr(Progress, name) and hasattr(SilentProgress, name)
-    SilentProgress().phase("planning")
 
 
 @pytest.mark.slow

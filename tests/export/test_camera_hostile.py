@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.export.camera_path import flight, interpolated
+from clsplat.export.camera_path import interpolated
 from clsplat.export.overflight import auto
 from clsplat.export.page import view_record
 from clsplat.export.prune import in_original, supported
 from clsplat.gaussians import Gaussians
 from clsplat.scene import Scene, View
-from tests.data import ground_model as made
 
 UP = np.array([0, 0, 1.0])
 RNG = np.random.default_rng(3)
@@ -55,45 +54,18 @@ BENT = np.array([[x, 40 * np.sin(x / 400) + y, 0] for x in np.linspace(-640, 640
 
 SURVEYS = {
     "square": scene_of(nadir(130, 130), ground(150, 150)),
-    "a nose that turns": scene_of(nadir(130, 130, nose=True), ground(150, 150)),
     "corridor": scene_of(CORRIDOR, BENT),
     "one strip": scene_of(nadir(400, 0, rows=1, columns=20), ground(420, 60)),
-    "two photos": scene_of(nadir(20, 0, rows=1, columns=2), ground(60, 60)),
-    "one photo": scene_of(nadir(0, 0, rows=1, columns=1), ground(60, 60)),
     "one place": scene_of(nadir(0, 0, rows=3, columns=3), ground(60, 60)),
-    "far from the origin": scene_of(nadir(130, 130), ground(150, 150),
-                                    offset=np.array([5e5, 5.7e6, 300])),
-    "small unit": scene_of(nadir(130, 130), ground(150, 150), unit=1e-3),
     "large unit": scene_of(nadir(130, 130), ground(150, 150), unit=1e6),
     "stray points": scene_of(nadir(130, 130), np.concatenate([
         ground(150, 150), ground(1e5, 1e5, 8), ground(50, 50, 4, (0, 0, -900))])),
-    "all points in a line": scene_of(nadir(130, 0, rows=1, columns=9), np.stack(
-        [np.linspace(-60, 60, 50), np.zeros(50), np.zeros(50)], axis=1)),
     "all points in one place": scene_of(nadir(130, 130), np.zeros((9, 3))),
-    "tilted by 20 degrees": scene_of([Camera.looking_at((x + 29, y, 0), (x, y, 80))
-                                      for x in (-50, 0, 50) for y in (-50, 0, 50)],
-                                     ground(250, 250)),
     "tilted by 40 degrees to every side": scene_of(
         [Camera.looking_at((x - 67 * dx, y - 67 * dy, 0), (x, y, 80)) for x in (-60, 0, 60)
          for y in (-60, 0, 60) for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1))],
         ground(250, 250)),
 }
-OTHERS = {
-    "inward ring": scene_of(ring(), ground(10, 10)),
-    "outward ring": scene_of(ring(inwards=False), ground(40, 40)),
-    "facade": scene_of(facade(), ground(60, 1, centre=(0, 0, 5))),
-    "huge": scene_of(ring(scale=1e9), 1e9 * ground(10, 10)),
-    "tiny": scene_of(ring(scale=1e-9), 1e-9 * ground(10, 10)),
-    "turning on one spot": scene_of([Camera.looking_at((np.cos(a), np.sin(a), 0), (0, 0, 0))
-                                     for a in np.linspace(0, 2, 9)], ground(10, 10)),
-    "one camera": scene_of(facade(1), ground(60, 1, centre=(0, 0, 5))),
-    "one camera many times": scene_of(facade(1) * 7, ground(60, 1, centre=(0, 0, 5))),
-    "photos twice": scene_of([each for each in facade() for _ in (1, 2)], ground(60, 1)),
-    "nadir without points": scene_of(nadir(130, 130), np.zeros((0, 3))),
-    "to and fro": scene_of([*facade(), *facade()[::-1]], ground(60, 1)),
-}
-
-
 def film_of(scene, route=auto, seconds=SECONDS):
     return interpolated(route(scene, seconds), np.linspace(0, 1, round(FPS * seconds)),
                         (1280, 720), 60.0)
@@ -118,17 +90,9 @@ def check_survey(scene, seconds=SECONDS):
     assert min(-camera.rotation[1] @ UP for camera in cameras) > 0.5  # upright
 
 
-@pytest.mark.one_in(4)
 @pytest.mark.parametrize("name", SURVEYS)
 def test_a_film_over_a_survey_can_be_watched(name):
     check_survey(SURVEYS[name])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seconds", [2, 6, 60, 300])
-def test_a_film_of_any_length_can_be_watched(seconds):
-    check_survey(SURVEYS["square"], seconds)
-    check_survey(SURVEYS["corridor"], seconds)
 
 
 @pytest.mark.parametrize("name", ["square", "corridor", "one strip", "stray points"])
@@ -139,23 +103,6 @@ def test_the_middle_of_the_picture_is_ground_that_photos_show(name):
         place = camera.position - ahead * camera.position[2] / ahead[2]
         shown = sum(view.sees(place[None])[0] for view in scene.views)
         assert shown >= 2, place
-
-
-def test_the_same_survey_along_its_photos_spins():
-    """The path that was the default: the drone's nose turns it around."""
-    assert speeds(film_of(SURVEYS["a nose that turns"], flight))[1].max() > MOST_TURN
-
-
-@pytest.mark.one_in(4)
-@pytest.mark.parametrize("name", OTHERS)
-def test_a_flight_along_photos_has_a_constant_speed(name):
-    cameras = film_of(OTHERS[name])
-    assert np.isfinite([camera.position for camera in cameras]).all()
-    ways, turns = speeds(cameras)
-    moves = ways.max() > 1e-6 * abs(np.array([camera.position for camera in cameras])).max() / FPS
-    # a path that turns back on itself stands still for a moment
-    assert not moves or np.mean(abs(ways / np.median(ways) - 1) < SPEED_SPREAD) > 0.98
-    assert np.abs(np.diff(turns)).max(initial=0) < 20  # no jerk
 
 
 def model_at(positions):
@@ -222,7 +169,3 @@ def test_the_reader_stays_above_a_slope():
     cells = np.stack(np.indices(heights.shape), axis=-1) * limits["step"] + limits["low"]
     slope = 0.8 * (cells @ axes)[..., 0]
     assert np.abs(heights - slope).max() < 0.05 * np.ptp(points[:, 2])
-
-
-def test_the_made_scene_is_flown_over():
-    check_survey(made.scene(None))

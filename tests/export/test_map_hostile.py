@@ -22,44 +22,22 @@ MIDDLE = made.OFFSET + made.UTM.offset
 NEAR = tuple(str(side) for side in (MIDDLE[0] - 4, MIDDLE[1] - 4, MIDDLE[0] + 4, MIDDLE[1] + 4))
 REFUSED = [
     (["--resolution", "100km"], "larger than the map"),
-    (["--resolution", "1000km"], "larger than the map"),
-    (["--resolution", "25m"], "larger than the map"),
-    (["--resolution", "1e308m"], "larger than the map"),
-    (["--resolution", "1e-300"], "pixels along a side"),
     (["--resolution", "1e-300mm"], "pixels along a side"),
-    (["--resolution", "5e-324"], "pixels along a side"),
-    (["--resolution", "0.01mm"], "pixels along a side"),
     (["--resolution", "0"], "size of a pixel"),
-    (["--resolution", "-1"], "not a length"),
     (["--resolution", "nan"], "not a length"),
-    (["--resolution", "inf"], "not a length"),
-    (["--resolution", "1e999"], "not a length"),
     (["--resolution", "5 cm cm"], "not a length"),
-    (["--bounds", "0", "0", "0", "0"], "--bounds"),
     (["--bounds", "nan", "0", "1", "1"], "--bounds"),
-    (["--bounds", "0", "0", "inf", "1"], "--bounds"),
     (["--bounds", "0", "5", "1", "1"], "--bounds"),
     (["--bounds", "-1e300", "-1e300", "1e300", "1e300"], "pixels along a side"),
-    (["--bounds", "0", "0", "1e9", "1", "--resolution", "1"], "pixels along a side"),
-    (["--bounds", "0", "0", "1e-3", "1e-3", "--resolution", "1"], "larger than the map"),
     pytest.param(["--bounds", "0", "0", "10", "10", "--resolution", "1"], "other --bounds",
                  marks=pytest.mark.slow),
     (["--crs", "EPSG:4326"], "projected"),
-    (["--crs", "EPSG:4979"], "projected"),
-    (["--crs", "EPSG:5773"], "projected"),
     (["--crs", "EPSG:2227"], "in metres"),
     (["--crs", COMPOUND], "heights are not converted"),
-    (["--crs", "EPSG:32633+5703"], "heights are not converted"),
-    (["--crs", ""], "not a coordinate reference system"),
     (["--crs", "nonsense"], "not a coordinate reference system"),
-    (["--crs", "+proj=tmerc +lat_0=1e999"], "--crs"),
-    (["--fill", "5"], "number of pixels"),
-    (["--fill", "-3px"], "number of pixels"),
     (["--fill", "51px"], "number of pixels"),
-    (["--fill", "1e3px"], "number of pixels"),
-    *(pytest.param(["--contours", interval, "--resolution", "1"], "larger interval",
-                   marks=pytest.mark.slow) for interval in ("1e-300", "5e-324")),  # after drawing
-    (["--contours", "nan"], "not a length"),
+    pytest.param(["--contours", "1e-300", "--resolution", "1"], "larger interval",
+                 marks=pytest.mark.slow),  # after drawing
 ]
 
 
@@ -77,7 +55,6 @@ def mapped(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("words, message", REFUSED, ids=lambda value: " ".join(value)
                          if isinstance(value, list) else "")
-@pytest.mark.one_in(4)
 def test_refused_in_one_line(mapped, words, message):
     folder, result = mapped(words)
     assert result.exit_code == 2 and message in result.output, result.output
@@ -88,9 +65,8 @@ def test_refused_in_one_line(mapped, words, message):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [
-    ["--crs", LOCAL], ["--crs", "EPSG:3857"], ["--crs", "WGS84 UTM 33N"], ["--fill", "0px"],
-    ["--fill", "50px"], ["--contours", "0"], ["--bounds", *NEAR], ["--resolution", "20m"],
-    ["--contours", "1e300"]], ids=" ".join)
+    ["--crs", LOCAL], ["--fill", "50px"], ["--contours", "0"], ["--bounds", *NEAR],
+    ["--resolution", "20m"]], ids=" ".join)
 def test_drawn(mapped, words):
     size = [] if "--resolution" in words else ["--resolution", "0.5"]
     folder, result = mapped([*words, *size, "--no-points"])
@@ -107,7 +83,7 @@ def test_drawn(mapped, words):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wanted", [None, COMPOUND, "EPSG:25833"])
+@pytest.mark.parametrize("wanted", [None, "EPSG:25833"])
 def test_a_scene_with_a_vertical_part(mapped, wanted):
     from clsplat.io.georeference.crs import normal_crs
     place = dataclasses.replace(made.UTM, crs=normal_crs(COMPOUND))

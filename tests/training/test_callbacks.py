@@ -11,8 +11,8 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.training.loop import Training
 from tests.data.tiny_training import CITY
 
-TINY = {"iterations": 6, "downscale": 8.0, "sh_degree": 0, "exposure": "off", "init": "sfm",
-        "test_every": 0, "sphere": False}
+TINY = clsplat.TrainOptions(iterations=6, downscale=8.0, sh_degree=0, exposure="off", init="sfm",
+                            test_every=0, sphere=False)
 
 
 def raising(error, at=3, event="step"):
@@ -28,8 +28,8 @@ def raising(error, at=3, event="step"):
 @pytest.mark.slow
 def test_what_a_callback_raises_goes_on_after_the_checkpoint(tmp_path, item_device, error):
     with pytest.raises(type(error)) as caught:
-        clsplat.train(CITY, tmp_path / "run", device=item_device, callbacks=[raising(error)],
-                      **TINY)
+        clsplat.train(CITY, TINY, output=tmp_path / "run", device=item_device,
+                      callbacks=[raising(error)])
     assert caught.value is error
     assert RunFolder(tmp_path / "run").checkpoint_iteration() == 3
 
@@ -39,8 +39,8 @@ def test_what_a_callback_raises_goes_on_after_the_checkpoint(tmp_path, item_devi
 def test_ctrl_c_in_a_callback_promises_what_was_saved(tmp_path, item_device, event, at, saved):
     run = tmp_path / "run"
     with pytest.raises((Interrupted, KeyboardInterrupt)) as caught:
-        clsplat.train(CITY, run, device=item_device,
-                      callbacks=[raising(KeyboardInterrupt(), at, event)], **TINY)
+        clsplat.train(CITY, TINY, output=run, device=item_device,
+                      callbacks=[raising(KeyboardInterrupt(), at, event)])
     assert RunFolder(run).checkpoint_iteration() == saved
     assert str(caught.value) == (f"stopped after step {saved}; go on with: clsplat train --resume "
                                  f"-o {shlex.quote(str(run))}")
@@ -58,7 +58,7 @@ def test_an_interrupt_before_the_first_checkpoint_promises_none(tmp_path, item_d
             "stopped after step 2, before its first checkpoint; to begin again: clsplat train --res"
             )):
         changed.setattr(Training, "take_step", broken_off)
-        clsplat.train(CITY, run, device=item_device, **TINY)
+        clsplat.train(CITY, TINY, output=run, device=item_device)
     clsplat.Run.open(run).resume(device=item_device)
     assert "has no checkpoint, so the training begins again at step 1" in caplog.text
     assert clsplat.Run.open(run).is_finished
@@ -69,6 +69,6 @@ def test_a_callback_that_changes_the_folder_loses_nothing(tmp_path, item_device,
     monkeypatch.chdir(tmp_path)
     os.symlink(CITY, "city")
     (tmp_path / "elsewhere").mkdir()
-    run = clsplat.train("city", "run", device=item_device,
-                        callbacks=[lambda record: os.chdir(tmp_path / "elsewhere")], **TINY)
+    run = clsplat.train("city", TINY, output="run", device=item_device,
+                        callbacks=[lambda record: os.chdir(tmp_path / "elsewhere")])
     assert run.is_finished and run.model.count and (tmp_path / "run/point_cloud.ply").exists()

@@ -251,8 +251,8 @@ def train_all(runs, file, arguments, begin):
                                                          run.options.get("images", ""))}
         folder = arguments.out / "runs" / re.sub(r"[^\w+.]+", "-", f"{run.division} {run.name}")
         try:
-            made = clsplat.train(scenes[run.scene.name], folder, device=device, overwrite=True,
-                                 **run.options)
+            made = clsplat.train(scenes[run.scene.name], clsplat.TrainOptions(**run.options),
+                                 output=folder, device=device, overwrite=True)
             result = result_of(run, made)
         except Interrupted:
             raise
