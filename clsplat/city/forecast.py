@@ -7,9 +7,9 @@ from typing import Any
 
 from clsplat.city.block import block_options
 from clsplat.device import Device
+from clsplat.estimate.cost import fitted, pixels
 from clsplat.estimate.forecast import MIB, Forecast, Planned
 from clsplat.estimate.measured import LEAST_STEPS, MeasuredSteps
-from clsplat.estimate.step_time import fitted, pixels
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import LEARNED
 from clsplat.io.runs.city import DENSE, EXCHANGES, LAYERS, CityFolder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 MIB = 2**20
 MOST_PHOTOS, MOST_SIDE = 10**9, 10**6
 NAME_WIDTH = 12  # characters
+BUSY_LOAD = 0.5  # processes per core that run or wait
 
 
 @click.command(cls=TrainingCommand)
@@ -55,7 +57,6 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, margin: float,
     from clsplat.device import choose_device
     from clsplat.estimate.forecast import Planned
     from clsplat.estimate.measured import MeasuredSteps
-    from clsplat.estimate.step_time import load
     from clsplat.io.scenes.read import read_scene
     from clsplat.options import resolve
     from clsplat.partition.options import PartitionOptions
@@ -88,6 +89,18 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, margin: float,
         from clsplat.city.forecast import scale_table
         click.echo("\n" + scale_table(planned, forecast, device, margin, counts,
                                       photo_size, workers, known).text())
+
+
+def load() -> tuple[float, int] | None:
+    """(processes that run or wait, cores) if other processes keep the machine busy, else None.
+
+    The number of processes is the average of the last minute; None too where it is not known.
+    """
+    try:
+        average, cores = os.getloadavg()[0], os.cpu_count() or 1
+    except (AttributeError, OSError):  # Windows has none
+        return None
+    return (average, cores) if average > BUSY_LOAD * cores else None
 
 
 def _numbers(text: str) -> list[int]:

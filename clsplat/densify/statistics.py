@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.device import Array, ArraySpec, Device
+from clsplat.device import Array, Device
 
 
 class Statistics:
@@ -15,22 +15,14 @@ class Statistics:
     seen_count : uint[N], how many views saw a gaussian.
     """
 
-    grad_norm_sum: Array
-    seen_count: Array
-
     def __init__(self, device: Device, count: int) -> None:
         self.device = device
         self.clear(count)
 
-    @staticmethod
-    def arrays(count: int) -> dict[str, ArraySpec]:
-        """The arrays for a number of gaussians, by attribute."""
-        return {"grad_norm_sum": ArraySpec((count,)), "seen_count": ArraySpec((count,), np.uint32)}
-
     def clear(self, count: int) -> None:
         """Start again for `count` gaussians."""
-        for name, spec in self.arrays(count).items():
-            setattr(self, name, self.device.zeros(*spec))
+        self.grad_norm_sum = self.device.zeros(count)
+        self.seen_count = self.device.zeros(count, np.uint32)
 
     @property
     def sums(self) -> tuple[Array, Array]:

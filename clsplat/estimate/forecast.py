@@ -4,9 +4,15 @@ import dataclasses
 from collections.abc import Sequence
 
 from clsplat.device import Device
+from clsplat.estimate.cost import (
+    Memory,
+    TimedStep,
+    predicted_memory,
+    predicted_seconds,
+    seconds_of_a_step,
+    take_trials,
+)
 from clsplat.estimate.detail import photo_detail
-from clsplat.estimate.memory import Memory, predicted_memory
-from clsplat.estimate.step_time import predicted_seconds
 from clsplat.estimate.trial_steps import sampled
 from clsplat.gaussians import Gaussians
 from clsplat.options import TrainOptions, seconds_of
@@ -45,7 +51,7 @@ class Forecast:
     seconds: float
     ends: list[tuple[float, int, float]]
     streaming: Decision
-    measured: list[tuple[float, float, float]]
+    measured: list[TimedStep]
 
 
 class Planned:
@@ -68,9 +74,9 @@ class Planned:
         self.prepared = prepare(scene, options, device)
         self._details: dict[float, float] = {}  # level -> `photo_detail`
 
-    def forecast(self, known: Sequence[tuple[float, float, float]] = ()) -> Forecast:
-        """Forecast the training; this takes some real steps on the device, unless `known` has
-        steps of another device (`predicted_seconds`).
+    def forecast(self, known: Sequence[TimedStep] = ()) -> Forecast:
+        """Forecast the training; this takes some real steps on the device, which are not timed if
+        `known` has steps, of another device or of an earlier training.
 
         Raises DeviceError where these steps, or those to come, do not fit the device.
         """
@@ -80,8 +86,13 @@ class Planned:
                      initial_gaussians(scene, options))
         self.progress.phase("planning: how many gaussians")
         segments = self._segments(options, gaussians)
-        seconds, ends, measured = predicted_seconds(self.device, prepared, gaussians, segments,
-                                                    self.progress, known)
+        trials = take_trials(self.device, prepared, gaussians.count, segments, not known,
+                             self.progress)
+        measured = list(known) or [(t.pixels, float(t.gaussians), t.seconds) for t in trials]
+        views = prepared.train_views
+        seconds = predicted_seconds(measured, views, segments)
+        ends = [(segment.level, segment.gaussians, seconds_of_a_step(measured, views, segment))
+                for segment in (segments[0], segments[-1])]
         if not known:  # of this device
             self.progress.phase("planning: timing the search for dense points")
             seconds += start_seconds(self.device, prepared)
@@ -89,8 +100,7 @@ class Planned:
             budget = seconds_of(options.time_budget)
             options = laid_over(options, max(1, int(options.iterations * budget / seconds)))
             segments, seconds = self._segments(options, gaussians), budget
-        self.progress.phase("planning: memory")
-        memory = predicted_memory(self.device, prepared, gaussians, segments)
+        memory = predicted_memory(self.device, prepared, gaussians, segments, trials)
         return Forecast(options.iterations, largest(segments), memory, seconds, ends,
                         self._streaming(memory, len({segment.level for segment in segments})),
                         measured)

@@ -10,7 +10,7 @@ from clsplat.errors import InputError
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, write_object
 
-LEAST_STEPS = 3  # for the three numbers that `step_time.fitted` finds
+LEAST_STEPS = 3  # for the three numbers that `cost.fitted` finds
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,14 @@ class TrialSteps:
         """Wait until all steps are done, also those that had to be repeated."""
         self.session.step.settle()
 
+    @property
+    def view_bytes(self) -> int:
+        """Device memory of the photos, and of what surrounds a block in them."""
+        backdrop = self.session.part(Backdrop)
+        return sum(images.nbytes for images in (
+            self.session.photos, backdrop.layers if backdrop else None)
+            if isinstance(images, (SizedPhotos, SizedLayers)))
+
 
 def trial_plan(options: TrainOptions, level: float, regularises: bool) -> Plan:
     """The plan of a step with all spherical harmonics, which gathers statistics."""
@@ -84,6 +92,11 @@ class SizedPhotos(Photos):
             self._photos[size] = self.device.upload(decode(view))
         return self._photos[size]
 
+    @property
+    def nbytes(self) -> int:
+        """Device memory of the photos so far."""
+        return sum(photo.nbytes for photo in self._photos.values())
+
 
 class SizedLayers(Layers):
     """Layers where only the sizes matter, of surroundings that are nowhere."""
@@ -105,6 +118,11 @@ class SizedLayers(Layers):
             planes[-1] = 255  # clear
             self._layers[size] = self.device.upload(planes)
         return self._layers[size]
+
+    @property
+    def nbytes(self) -> int:
+        """Device memory of the layers so far."""
+        return sum(layers.nbytes for layers in self._layers.values())
 
 
 def trial_session(prepared: PreparedScene, device: Device, gaussians: Gaussians,
@@ -137,7 +155,7 @@ def sampled(scene: Scene, count: int, sh_degree: int, seed: int = 0) -> Gaussian
 
 
 def sized(gaussians: Gaussians, renderer: Renderer, cameras: Sequence[Camera]) -> Gaussians:
-    """Scale all gaussians by one factor, so that the frames have as many pairs as `settled` says.
+    """Scale all gaussians by one factor, so that the frames have as many pairs as trained ones.
 
     Pairs are counted over all cameras; nothing is rendered.
     """
@@ -157,18 +175,13 @@ def sized(gaussians: Gaussians, renderer: Renderer, cameras: Sequence[Camera]) -
     return Gaussians({**gaussians.rows, "log_scales": log_scales}, gaussians.sh_degree)
 
 
-def settled(renderer: Renderer, rows: dict[str, Array], camera: Camera) -> tuple[int, float]:
-    """Estimate (splats, pairs) of a frame as if the gaussians were trained.
+def _settled_pairs(splats: int, camera: Camera, device: Device) -> float:
+    """Estimate the pairs of a frame as if the gaussians were trained.
 
     We assume PAIRS_A_SPLAT pairs for each splat and PAIRS_A_TILE for each tile. With trained models
     of five scenes the error was at most 26 %, in the mean of the views and in the largest; sampled
     gaussians had up to 2.5 times as many pairs.
     """
-    splats = renderer.count_splats(rows, renderer.pack(camera))
-    return splats, _settled_pairs(splats, camera, renderer.device)
-
-
-def _settled_pairs(splats: int, camera: Camera, device: Device) -> float:
     return (PAIRS_A_SPLAT * splats
             + PAIRS_A_TILE * camera.width * camera.height / device.tile**2)
 

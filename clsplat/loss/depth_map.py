@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
 from clsplat.primitives.reduce import sum_columns
-from clsplat.rendering.frame_arrays import FrameArray
 
 _PLANE = ("real", "H", "W")
 COMPARE = Kernel(
@@ -36,10 +35,3 @@ def compare_depth(device: Device, depth: Array, transmittance: Array, known: Arr
     device.launch(COMPARE, width=width, height=height, weight=weight, depth=depth,
                   transmittance=transmittance, map=known, **grads, partials=partials)
     return sum_columns(device, partials), grads["grad_depth"], grads["grad_transmittance"]
-
-
-def frame_arrays(width: int, height: int) -> list[FrameArray]:
-    """What `compare_depth` allocates for an image of this size, for the forecast of memory."""
-    return [FrameArray("partials", (height, 2), None, "depth map", "depth map"),
-            *(FrameArray(name, (height, width), None, "depth map", "project adjoint")
-              for name in ("grad_depth", "grad_transmittance"))]

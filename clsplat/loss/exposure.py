@@ -15,7 +15,7 @@ from clsplat.constants import (
     VIGNETTING_REALS,
     VIGNETTING_TERMS,
 )
-from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups
+from clsplat.device import Array, Device, Forms, Kernel, each, groups
 from clsplat.rendering.blend import (
     Defines,
     Exposure,
@@ -23,7 +23,6 @@ from clsplat.rendering.blend import (
     bytes_or,
     layer_defines,
 )
-from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.response import Lenses, Response
 
 IDENTITY = np.eye(3, 4)
@@ -89,31 +88,18 @@ class Exposures:
         self._recentred = np.tile(IDENTITY, (views, 1, 1)) if initial is None else initial
         self._mean = self._recentred.reshape(views, TRANSFORM_REALS).mean(axis=0)
         self.has_vignetting = lenses is not None
-        for name, spec in self.arrays(views, len(lenses.rows) if lenses else 1).items():
-            setattr(self, name, device.zeros(*spec))
+        self.transforms, self.m, self.v = (
+            device.zeros((views, TRANSFORM_REALS)) for _ in range(3))
+        # without lenses a token stands for them
+        count = len(lenses.rows) if lenses else 1
+        self.lenses = device.zeros((count, VIGNETTING_REALS))
+        self.lens_m, self.lens_v = (device.zeros((count, VIGNETTING_TERMS)) for _ in range(2))
+        self.steps, self.lens_of, self.lens_steps, self.skipped = (
+            device.zeros(number, np.uint32) for number in (views, views, count, 1))
         if lenses:
             self.lens_of.write(lenses.of)
             self.lenses.write(lenses.rows)
         self.transforms.write(self._recentred.reshape(views, TRANSFORM_REALS))
-
-    @staticmethod
-    def arrays(views: int, lenses: int = 1) -> dict[str, ArraySpec]:
-        """The arrays of a number of views and lenses, by attribute."""
-        rows, steps = ArraySpec((views, TRANSFORM_REALS)), ArraySpec((views,), np.uint32)
-        moments = ArraySpec((lenses, VIGNETTING_TERMS))
-        return {"transforms": rows, "m": rows, "v": rows, "steps": steps, "lens_of": steps,
-                "lenses": ArraySpec((lenses, VIGNETTING_REALS)), "lens_m": moments,
-                "lens_v": moments, "lens_steps": ArraySpec((lenses,), np.uint32),
-                "skipped": ArraySpec((1,), np.uint32)}
-
-    @staticmethod
-    def frame_arrays(width: int, height: int, vignetting: bool) -> list[FrameArray]:
-        """What a frame with a response and `adjoint` allocate for an image."""
-        image, blocks = (3, height, width), -(-width * height // EXPOSURE_BLOCK)
-        return [FrameArray("exposed", image, None, "blend", "project adjoint"),
-                FrameArray("grad_rendered", image, None, "exposure", "project adjoint"),
-                FrameArray("partials", (blocks, _sums(vignetting)), None, "exposure",
-                           "project adjoint")]
 
     def of(self, view: int, camera: Array) -> Exposure:
         """The response of a view, for `Renderer.render`; `camera` is its packed camera."""

@@ -2,9 +2,8 @@
 
 from typing import Any
 
-from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, groups, items
+from clsplat.device import Array, Device, Forms, Kernel, groups, items
 from clsplat.primitives.reduce import sum_columns
-from clsplat.rendering.frame_arrays import FrameArray
 
 HAS_MAPS = Forms(item=False, group=True)  # whether the gradient has a kernel of its own
 STRIP_ROWS = 256  # image rows of a work-item of the item form, which reads 20 more
@@ -64,22 +63,3 @@ def loss_value(partials: Array, values: int, ssim_weight: float) -> tuple[float,
     sums = sum_columns(partials.device, partials)
     l1, ssim = (float(v) / values for v in sums.download())
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim
-
-
-def frame_arrays(device: Device, width: int, height: int, last: str) -> list[FrameArray]:
-    """What `image_loss` allocates for an image of this size, for the forecast of memory.
-
-    Parameters
-    ----------
-    device : the device of the image.
-    width, height : size of the image, pixels.
-    last : the last stage that reads the gradient.
-    """
-    maps = [FrameArray("maps", (3, 3, height, width), None, "loss", "loss")]
-    return [*maps * HAS_MAPS.of(device),
-            FrameArray("grad_image", (3, height, width), None, "loss", last)]
-
-
-def result_arrays(device: Device, width: int, height: int) -> list[ArraySpec]:
-    """The arrays of `Device.result` that `image_loss` allocates for an image of this size."""
-    return [ArraySpec((VALUE.units(device, W=width, H=height, strip=STRIP_ROWS), 2))]

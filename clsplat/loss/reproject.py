@@ -17,7 +17,6 @@ from clsplat.constants import GEOMETRY_REALS, TRANSFORM_REALS
 from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
 from clsplat.loss.image_loss import is_masked
 from clsplat.primitives.reduce import sum_columns
-from clsplat.rendering.frame_arrays import FrameArray
 
 _GRADS = dict(grad_depth=("real", "H", "W"), grad_transmittance=("real", "H", "W"))
 REPROJECT = Kernel(
@@ -99,10 +98,3 @@ def reproject(device: Device, depth: Array, transmittance: Array, photo: Array, 
     sums = sum_columns(device, partials)
     device.launch(SCALE, count=height * width, weight=weight, sums=sums, **grads)
     return sums, grads["grad_depth"], grads["grad_transmittance"]
-
-
-def frame_arrays(width: int, height: int) -> list[FrameArray]:
-    """What `reproject` allocates for an image of this size, for the forecast of memory."""
-    return [FrameArray("partials", (height, 2), None, "reproject", "reproject"),
-            *(FrameArray(name, (height, width), None, "reproject", "project adjoint")
-              for name in ("grad_depth", "grad_transmittance"))]

@@ -27,7 +27,6 @@ from clsplat.constants import (
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each
 from clsplat.gaussians import LEARNED
 from clsplat.primitives.gather import gather
-from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Gradients
 from clsplat.rendering.project import FieldGradients
 
@@ -108,11 +107,6 @@ class DeviceAdam:
                               "no_gradient": ArraySpec((1, 1, 3)),
                               "none_frozen": ArraySpec((1,), np.uint32),
                               "no_counts": ArraySpec((FRAME_COUNTS,), np.uint32)}
-
-    @staticmethod
-    def frame_arrays(count: int, seen: int, sh_degree: int, dense: bool) -> list[FrameArray]:
-        """The arrays that a step allocates for `count` rows, of which the view sees `seen`."""
-        return []
 
     @staticmethod
     def numbers(step: int, rates: Mapping[str, float]) -> dict[str, float]:

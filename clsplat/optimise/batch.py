@@ -7,10 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from clsplat.constants import FRAME_COUNTS
-from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each
+from clsplat.device import Array, Device, Forms, Kernel, each
 from clsplat.device.kernel import Argument
 from clsplat.primitives.compact import compact
-from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Gradients
 
 _COUNTS: dict[str, Argument] = dict(counts=("uint", FRAME_COUNTS))
@@ -40,27 +39,9 @@ class BatchMean:
 
     def __init__(self, device: Device, rows: Mapping[str, Array], views: int) -> None:
         self.device, self.views, self.count = device, views, len(rows["positions"])
-        arrays = {name: device.zeros(*spec) for name, spec in self.arrays(rows).items()}
-        self._flags, self._keys = arrays.pop("flags"), arrays.pop("keys")
-        self._sums = arrays
-
-    @staticmethod
-    def arrays(rows: Mapping[str, Array | ArraySpec]) -> dict[str, ArraySpec]:
-        """The arrays for parameters of these shapes; all are zero between batches."""
-        indices = ArraySpec((rows["positions"].shape[0],), np.uint32)
-        return {"flags": indices, "keys": indices,
-                **{name: ArraySpec(array.shape) for name, array in rows.items()}}
-
-    @staticmethod
-    def frame_arrays(count: int, seen: int, rows: Mapping[str, ArraySpec]) -> list[FrameArray]:
-        """The short-lived arrays for `count` gaussians, of which a view sees `seen`."""
-        return [*(FrameArray(f"mean_{name}", (count, *spec.shape[1:]), None, "adam", "adam")
-                  for name, spec in rows.items()),
-                *(FrameArray(f"grad_{name}", (seen, *spec.shape[1:]), None, "adam", "adam")
-                  for name, spec in rows.items() if name.startswith("sh_")),
-                *(FrameArray(name, (count,), np.uint32, "adam", "adam")
-                  for name in ("visible", "rows")),
-                FrameArray("totals", (count // 1024 + 1,), np.uint32, "adam", "adam")]
+        # all are zero between batches
+        self._flags, self._keys = (device.zeros(self.count, np.uint32) for _ in range(2))
+        self._sums = {name: device.zeros(array.shape) for name, array in rows.items()}
 
     def add(self, gradients: Gradients, used: Mapping[str, int]) -> None:
         """Add the gradients of a view.

@@ -20,7 +20,6 @@ from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import HostArrays, corrections
 from clsplat.primitives.gather import gather, scatter
-from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Gradients
 
 
@@ -39,16 +38,6 @@ class NumpyAdam:
     def arrays(rows: Mapping[str, Array | ArraySpec]) -> tuple[dict[str, ArraySpec], ...]:
         """As `DeviceAdam.arrays`: none on the device."""
         return {}, {}, {}
-
-    @staticmethod
-    def frame_arrays(count: int, seen: int, sh_degree: int, dense: bool) -> list[FrameArray]:
-        """As `DeviceAdam.frame_arrays`; parameters are copied to the host and back."""
-        moved, bands = count if dense else seen, (sh_degree + 1)**2 - 1
-        # the gradient of sh_constant takes the block of a parameter that is let go
-        return [FrameArray("touched", (moved,), np.uint32, "adam", "adam"),
-                FrameArray("grad_sh_rest", (seen, bands, 3), None, "adam", "adam"),
-                *(FrameArray(field.name, (moved, *field.row_shape(sh_degree)), None, "adam", "adam")
-                  for field in LEARNED)]
 
     def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False) -> None:
         self.device, self.dense, self.steps = device, dense, 0

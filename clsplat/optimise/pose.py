@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.constants import CAMERA_REALS, FRAME_COUNTS, POSE_BLOCK, POSE_REALS
-from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups, items
+from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
 from clsplat.placement.corrections import Correction, without_common_motion
-from clsplat.rendering.frame_arrays import FrameArray
 
 LEARNED = ("poses", "m", "v", "steps")
 WARM_UP = 0.3  # of the run: so long poses stay, as the first gaussians tell nothing of them
@@ -62,21 +61,9 @@ class Poses:
     def __init__(self, device: Device, cameras: Sequence[Camera], depth: float,
                  pull: float = PULL) -> None:
         self.device, self.cameras, self.depth, self.pull = device, cameras, depth, pull
-        for name, spec in self.arrays(len(cameras)).items():
-            setattr(self, name, device.zeros(*spec))
-
-    @staticmethod
-    def arrays(views: int) -> dict[str, ArraySpec]:
-        """The arrays of a number of views, by attribute."""
-        rows = ArraySpec((views, POSE_REALS))
-        return {"poses": rows, "m": rows, "v": rows, "steps": ArraySpec((views,), np.uint32),
-                "skipped": ArraySpec((1,), np.uint32), "corrected": ArraySpec((CAMERA_REALS,))}
-
-    @staticmethod
-    def frame_arrays(seen: int) -> list[FrameArray]:
-        """What a step allocates for a view that sees so many gaussians, or has room for them."""
-        return [FrameArray("pose_terms", (seen, POSE_REALS), None, "project adjoint", "adam"),
-                FrameArray("partials", (_blocks(seen), POSE_REALS), None, "pose", "pose")]
+        self.poses, self.m, self.v = (device.zeros((len(cameras), POSE_REALS)) for _ in range(3))
+        self.steps, self.skipped = (device.zeros(count, np.uint32) for count in (len(cameras), 1))
+        self.corrected = device.zeros(CAMERA_REALS)
 
     def apply(self, view: int, camera: Array) -> Array:
         """`corrected`, which the next call overwrites on the device.

@@ -12,7 +12,7 @@ from clsplat.constants import (
     FRAME_COUNTS,
     SPLAT_REALS,
 )
-from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups, items
+from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
 from clsplat.errors import DeviceError
 from clsplat.primitives.sort import parts_of
 
@@ -163,15 +163,10 @@ def _scratch(device: Device, splats: int, tiles: int, order: Array | None) -> di
         return dict(order=order, parts=parts, table=device.empty((parts, tiles), np.uint32),
                     totals=device.empty(parts, np.uint32))
     chunks = -(-splats // device.scan_group)
-    return dict(steps=device.zeros_once(*steps_of(device, tiles)[0]), chunks=chunks,
+    return dict(steps=device.zeros_once(tiles + 1, np.uint32), chunks=chunks,
                 totals=device.empty(chunks, np.uint32),
                 first_indices=device.empty(chunks, np.uint32),
                 bucket_offsets=device.empty(tiles, np.uint32))
-
-
-def steps_of(device: Device, tiles: int) -> list[ArraySpec]:
-    """What a recorded frame keeps of its binning, for a number of tiles."""
-    return [] if NEEDS_ORDER.of(device) else [ArraySpec((tiles + 1,), np.uint32)]
 
 
 def _launch(device: Device, kernel: Kernel, **values: Any) -> None:

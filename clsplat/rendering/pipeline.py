@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.constants import TRANSFORM_REALS
-from clsplat.device import Array, ArraySpec, Device
+from clsplat.device import Array, Device
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering.bands import choose_bands, pair_limit
@@ -160,8 +160,6 @@ class Renderer:
     skipped : uint[1], how many gradients of gaussians were not finite so far.
     """
 
-    ARRAYS = ArraySpec((3,)), ArraySpec((1,), np.uint32), ArraySpec((1, 1))
-
     def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,
                  background: Sequence[float] = (0.0, 0.0, 0.0), smooth_cutoff: bool = False,
                  pair_limit: int | None = None, orthographic: bool = False,
@@ -170,8 +168,8 @@ class Renderer:
         self.orthographic, self.depth_percent = orthographic, depth_percent
         self.low_pass = low_pass
         self.pair_limit = pair_limit
-        self.background, self.skipped, self._token = (
-            device.zeros(*spec) for spec in self.ARRAYS)
+        self.background, self._token = device.zeros((3,)), device.zeros((1, 1))
+        self.skipped = device.zeros((1,), np.uint32)
         self.background.write(background)
         self._project_defines = project_defines(sh_degree, antialiased, orthographic)
 

@@ -14,10 +14,10 @@ from typing import IO, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.constants import EXPOSURE_BLOCK, TRANSFORM_REALS
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.loss.exposure import Exposures
 from clsplat.partition.blocks import VISIBLE_DEVIATIONS, shown_sizes
 from clsplat.partition.clusters import Clusters
 from clsplat.partition.surroundings import Sides
@@ -161,8 +161,10 @@ def compared_bytes(scene: Scene, surroundings: Gaussians, sh_degree: int, expose
     for view in scene.views:
         in_front = front.is_shown(view, sides.behind(view.camera.position))
         layers += layer_array(view, in_front).nbytes(real)
-        step = max(step, sum(array.nbytes(real) for array in Exposures.frame_arrays(
-            view.camera.width, view.camera.height, vignetting=False)))
+        pixels = view.camera.width * view.camera.height
+        # the exposed image, the gradient by the image, and partial sums of the gradient
+        step = max(step, real.itemsize * (
+            2 * 3 * pixels + TRANSFORM_REALS * -(-pixels // EXPOSURE_BLOCK)))
     floats = sum(field.width(sh_degree) for field in LEARNED)
     return layers + (0 if exposes else step), 3 * real.itemsize * floats * surroundings.count
 

@@ -23,8 +23,8 @@ from clsplat.city.forecast import (
 from clsplat.city.run import chosen_partition
 from clsplat.cli.main import main
 from clsplat.errors import InputError
+from clsplat.estimate.cost import fitted, predicted_seconds
 from clsplat.estimate.measured import MeasuredSteps
-from clsplat.estimate.step_time import fitted, predicted_seconds
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
@@ -220,10 +220,7 @@ def test_steps_of_another_device_come_from_a_file(tmp_path):
     known = MeasuredSteps.read(file)
     assert known == MeasuredSteps("a card", 2**33, steps)
     segments = [Segment(10, 1.0, 100, False)]
-    seconds, ends, measured = predicted_seconds(
-        None, SimpleNamespace(train_views=views), None, segments, known=known.steps)
-    assert seconds == pytest.approx(9.0) and ends[0][2] == pytest.approx(0.9)
-    assert measured == steps
+    assert predicted_seconds(known.steps, views, segments) == pytest.approx(9.0)
     for damaged in ("{", '{"device": 1}', file.read_text().replace("0.9", "-1"),
                     file.read_text().replace("0.9", '"x"')):
         file.write_text(damaged)

@@ -13,10 +13,9 @@ from clsplat.densify.contribution import contribution
 from clsplat.device.array import Array
 from clsplat.errors import DeviceError, OutOfDeviceMemory
 from clsplat.io.scenes.read import read_scene
-from clsplat.rendering.bands import choose_bands, pair_limit
+from clsplat.rendering.bands import choose_bands, pair_limit, pair_reals
 from clsplat.rendering.bin import PAIR_LIMIT, count_tiles, tile_grid
 from clsplat.rendering.blend import Exposure
-from clsplat.rendering.frame_arrays import STAGES, FrameSize, frame_arrays
 from tests import cases
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
 from tests.kernels.chain import gradients_by_row, render, size_of
@@ -119,12 +118,12 @@ def test_pairs_that_do_not_fit_a_buffer_come_in_bands(device, monkeypatch):
 
 
 def test_the_limit_follows_from_the_devices_memory(device, monkeypatch):
+    """The indices, gradients and checkpoints of the pairs take a quarter of it."""
     monkeypatch.setattr(device, "largest_buffer", 1 << 60)
     limit = pair_limit(device, 61, 37, True)
     assert 0 < limit < PAIR_LIMIT
-    share = max(live_bytes(frame_arrays(device, FrameSize(1, 1, limit, 61, 37), 1, True),
-                           device.real))
-    assert 0.24 < share / device.handle.global_mem_size < 0.2505
+    each = 8 + sum(pair_reals(device, True)) * device.real.itemsize
+    assert 0.24 < limit * each / device.handle.global_mem_size < 0.2505
 
 
 def test_the_limit_leaves_room_in_the_largest_buffer(device, monkeypatch):
@@ -170,20 +169,18 @@ class ExactPool:
         return buffer
 
 
-def live_bytes(arrays, real):
-    """Bytes that arrays hold together in each stage of a step."""
-    return [sum(array.nbytes(real) for array in arrays if stage in range(
-        STAGES.index(array.first), STAGES.index(array.last) + 1)) for stage in range(len(STAGES))]
-
-
 def test_bands_hold_no_more_than_the_largest_of_them(device, monkeypatch):
+    """In one band, the frame takes more by what its other pairs need."""
     case = cases.gaussians(SPREAD, count=400)
-    pool = ExactPool(device)
-    monkeypatch.setattr(device, "_pool", pool)
-    frame, _ = rendered_and_back(device, case, pair_limit=1300)
-    assert len(frame.bands) > 2
-    size = FrameSize(400, len(frame.visible), 1300, *size_of(case))
-    assert pool.most < 1.05 * max(live_bytes(frame_arrays(device, size, 1, True), device.real))
+    most = []
+    for limit in (1300, 10**6):
+        pool = ExactPool(device)
+        monkeypatch.setattr(device, "_pool", pool)
+        frame, _ = rendered_and_back(device, case, pair_limit=limit)
+        most.append(pool.most)
+    each = 8 + sum(pair_reals(device, True)) * device.real.itemsize
+    others = frame.pairs.count - 1300
+    assert others > 1300 and most[1] - most[0] > 0.9 * others * each
 
 
 def test_memory_that_is_refused_is_an_error_of_its_own(float_device, monkeypatch):

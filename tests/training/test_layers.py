@@ -7,7 +7,7 @@ import pytest
 
 from clsplat.city.cut import takes_layers
 from clsplat.errors import InputError
-from clsplat.estimate.memory import layer_bytes, predicted_memory
+from clsplat.estimate.cost import ViewMemory
 from clsplat.evaluation.metrics import psnr
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.models.ply import write_ply
@@ -15,9 +15,7 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.partition.blocks import block_start
 from clsplat.rendering.slabs import open_model
-from clsplat.schedule.simulate import simulate
 from clsplat.training import layers, loop
-from clsplat.training.initialise import initial_gaussians
 from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import Photos
 from clsplat.training.prepare import prepare
@@ -187,24 +185,14 @@ def test_a_disk_without_space_is_named(item_device, block, tmp_path, monkeypatch
 
 @pytest.mark.slow
 def test_memory_is_foretold(item_device, block):
-    """That of layers exactly here, as all that is in front shows; that to draw them from above."""
+    """Exactly here, as all that is in front shows."""
     _, scene, options = block
     prepared = prepare(scene, options_of(**options), item_device)
-    gaussians = initial_gaussians(prepared.scene, prepared.options)
     photos = Photos(item_device, prepared.train_views)
-    item_device.trim()
-    before = item_device.peak_bytes = item_device.memory_bytes
     drawn = layers.Layers(item_device, prepared.scene, prepared.surroundings, prepared.near,
                           prepared.options)
     drawn.use(1.0, photos.views, photos.spare_bytes)
     photos.close()
-    stays, drawing = layer_bytes(item_device, prepared, photos.views, photos.spare_bytes)
-    assert stays == sum(drawn[index].nbytes for index in range(len(photos.views)))
-    assert stays < item_device.peak_bytes - before < stays + drawing < 2 * (
-        item_device.peak_bytes - before)
-    assert layer_bytes(item_device, prepared, photos.views, 0)[0] == 7 * 40 * 30
-    segments = simulate(prepared.schedule(gaussians), lambda level: 0.1)
-    without = replace(prepared, scene=replace(prepared.scene, surroundings=None))
-    with_layers, bare = (predicted_memory(item_device, each, gaussians, segments).steps
-                         for each in (prepared, without))
-    assert with_layers > bare + stays
+    memory = ViewMemory(item_device, prepared, 1.0)
+    assert memory.nbytes - memory.photos == sum(
+        drawn[index].nbytes for index in range(len(photos.views)))

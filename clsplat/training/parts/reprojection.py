@@ -9,7 +9,7 @@ import numpy as np
 
 from clsplat.camera import Camera
 from clsplat.covisibility.source_views import choose_source_views
-from clsplat.device import ArraySpec, Device
+from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.options import ReprojectOptions
@@ -58,12 +58,6 @@ class SourceViews:
                       for other in adjacent]
         self._first = np.cumsum([0, *map(len, neighbours)])  # row of a view's first pair
         self.compare_colours()
-
-    @staticmethod
-    def arrays(neighbours: Sequence[Sequence[int]]) -> dict[str, ArraySpec]:
-        """The device arrays for these neighbours."""
-        rows = ArraySpec((sum(map(len, neighbours)), 12))
-        return {"geometries": rows, "colours": rows}
 
     def use(self, cameras: Sequence[Camera]) -> None:
         """Use the views' cameras at a level from now on."""
