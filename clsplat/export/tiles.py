@@ -31,8 +31,7 @@ from clsplat.georeference import Georeference
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import new_folder
 from clsplat.io.georeference.crs import conversion
-from clsplat.io.models.gltf import COMPRESSION, EXTENSION, write_glb
-from clsplat.io.models.gltf_spz import write_spz_glb
+from clsplat.io.models.gltf import COMPRESSION, EXTENSION, write_glb, write_spz_glb
 from clsplat.io.models.ply import read_ply
 from clsplat.io.models.values import Notes, mode_comment, opacities
 

@@ -3,13 +3,16 @@
 Scales are standard deviations, opacities 0 to 1, quaternions x, y, z, w, and harmonics as in a PLY.
 The data has glTF's axes, left, up, forward: those of a PLY, which are right, down, forward, after
 half a turn about z. A node adds the origin of the positions, and another one above it turns all so
-that what is up becomes y. Gaussians that are compressed as SPZ are read, too; `gltf_spz` writes
-them.
+that what is up becomes y.
+
+For 3D Tiles the buffer is a SPZ file (KHR_gaussian_splatting_compression_spz_2). CesiumJS draws no
+other splats, and uses its positions as they are stored, with the `matrix` of the first node and no
+other transform.
 """
 
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.models.quantise import unit
-from clsplat.io.models.spz import unpacked_spz
+from clsplat.io.models.spz import packed_spz, unpacked_spz
 from clsplat.io.models.values import (
     Notes,
     colours_of,
@@ -44,13 +47,13 @@ COMPRESSION = "KHR_gaussian_splatting_compression_spz_2"
 HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 MAGIC, VERSION, JSON, BINARY = b"glTF", 2, b"JSON", b"BIN\0"
 FLOAT, UNSIGNED_BYTE, ARRAY_BUFFER, POINTS = 5126, 5121, 34962, 0
-# component types: the format and what stands for 1 where values are normalised
-COMPONENTS = {5120: ("<i1", 127), 5121: ("<u1", 255), 5122: ("<i2", 32767), 5123: ("<u2", 65535),
-              FLOAT: ("<f4", 1)}
-WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 BANDS = (1, 3, 5, 7)  # coefficients of a degree
 TURN = np.array([-1.0, -1.0, 1.0])  # half a turn about z
 UPRIGHT = "clsplat: upright"  # the node whose rotation is for viewers, and not read back
+# SPZ has y and z of a model the other way round; of these, z becomes y (columns)
+STORED_TO_Y_UP = (1.0, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1)
 XYZW, WXYZ = [1, 2, 3, 0], [3, 0, 1, 2]  # the order of components in the other convention
 
 
@@ -73,21 +76,58 @@ def write_glb(path: Path, gaussians: Gaussians, notes: Notes) -> None:
         f"{EXTENSION}:SH_DEGREE_0_COEF_0": rows["sh_constant"]}
     names = (name for degree in range(1, gaussians.sh_degree + 1) for name in coefficients(degree))
     attributes.update(zip(names, rows["sh_rest"].transpose(1, 0, 2)))
-    document: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": "clsplat",
-                  "extras": {"comments": list(notes.lines)}},
-        "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": UPRIGHT, **_upright(notes), "children": [1]},
-                  {"name": "gaussians", "translation": (origin * TURN).tolist()}]}
+    place: dict[str, Any] = {"name": "gaussians", "translation": (origin * TURN).tolist()}
+    document: dict[str, Any] = {"extensionsUsed": [EXTENSION], "nodes": [
+        {"name": UPRIGHT, **_upright(notes), "children": [1]}, place]}
     content = b""
     if gaussians.count:  # glTF has no empty accessors
-        document["nodes"][1]["mesh"] = 0
-        content = _with_mesh(document, attributes)
-    write_document(path, document, content)
+        place["mesh"] = 0
+        content = _add_attributes(document, attributes)
+    _write(path, document, notes.lines, content)
 
 
-def write_document(path: Path, document: dict[str, Any], content: bytes) -> None:
+def write_spz_glb(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
+    """Write gaussians that stand upright, z up, for 3D Tiles; the file is replaced as a whole.
+
+    Parameters
+    ----------
+    path : the file, .glb.
+    gaussians : at least one; their offset is left out.
+    comments : lines of text.
+
+    Raises
+    ------
+    InputError : the file cannot be written, or SPZ cannot hold a position.
+    """
+    local = gaussians.located(np.zeros(3))
+    content, degree = packed_spz(path, local, Notes(tuple(comments)))
+    stored = local.positions.astype(np.float64) * (1, -1, -1)
+    # what is inside the buffer: its type, and normalised bytes where it is a colour
+    accessors: dict[str, dict[str, Any]] = {
+        "POSITION": {"type": "VEC3", **_bounds(stored)},
+        "COLOR_0": {"type": "VEC4", "componentType": UNSIGNED_BYTE, "normalized": True},
+        f"{EXTENSION}:SCALE": {"type": "VEC3"}, f"{EXTENSION}:ROTATION": {"type": "VEC4"},
+        **{name: {"type": "VEC3"} for number in range(1, degree + 1)
+           for name in coefficients(number)}}
+    both = [EXTENSION, COMPRESSION]
+    document = {
+        "extensionsUsed": both, "extensionsRequired": both,
+        "nodes": [{"name": UPRIGHT, "mesh": 0, "matrix": STORED_TO_Y_UP}],
+        "meshes": [_mesh(accessors, extensions={COMPRESSION: {"bufferView": 0}})],
+        "accessors": [{"componentType": FLOAT, "count": gaussians.count, **each}
+                      for each in accessors.values()],
+        "bufferViews": [{"buffer": 0, "byteLength": len(content)}]}
+    _write(path, document, comments, content)
+
+
+def _write(path: Path, document: dict[str, Any], comments: Iterable[str], content: bytes) -> None:
     """Write a binary glTF of a document and its buffer; the file is replaced as a whole."""
+    document = {
+        "asset": {"version": "2.0", "generator": "clsplat",
+                  "extras": {"comments": list(comments)}},
+        "scene": 0, "scenes": [{"nodes": [0]}], **document}
+    if content:
+        document["buffers"] = [{"byteLength": len(content)}]
     text = json.dumps(document, separators=(",", ":")).encode()
     chunks = [(text + b" " * (-len(text) % 4), JSON)]
     if content:
@@ -138,7 +178,20 @@ def _upright(notes: Notes) -> dict[str, Any]:
     return {"rotation": turn.as_quat().tolist()}
 
 
-def _with_mesh(document: dict[str, Any], attributes: dict[str, NDArray[Any]]) -> bytes:
+def _mesh(attributes: Iterable[str], **details: Any) -> dict[str, Any]:
+    """A mesh of gaussians, whose attributes are the accessors in this order."""
+    return {"primitives": [{
+        "mode": POINTS, "attributes": {name: at for at, name in enumerate(attributes)},
+        "extensions": {EXTENSION: {
+            "kernel": "ellipse", "colorSpace": "srgb_rec709_display", **details}}}]}
+
+
+def _bounds(positions: NDArray[np.floating]) -> dict[str, list[float]]:
+    """What glTF requires of positions."""
+    return {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
+
+
+def _add_attributes(document: dict[str, Any], attributes: dict[str, NDArray[Any]]) -> bytes:
     """Add a mesh of gaussians to a document; returns the bytes of its attributes."""
     views: list[dict[str, int]] = []
     accessors: list[dict[str, Any]] = []
@@ -152,20 +205,15 @@ def _with_mesh(document: dict[str, Any], attributes: dict[str, NDArray[Any]]) ->
             "type": "SCALAR" if data.ndim == 1 else f"VEC{data.shape[1]}"}
         if normalised:
             accessor["normalized"] = True
-        if name == "POSITION":  # glTF requires its bounds
-            accessor |= {"min": data.min(axis=0).tolist(), "max": data.max(axis=0).tolist()}
+        if name == "POSITION":
+            accessor |= _bounds(data)
         views.append({"buffer": 0, "byteOffset": size, "byteLength": data.nbytes,
                       "target": ARRAY_BUFFER})
         accessors.append(accessor)
         parts.append(data.tobytes())
         size += data.nbytes
-    document |= {
-        "buffers": [{"byteLength": size}], "bufferViews": views, "accessors": accessors,
-        "meshes": [{"primitives": [{
-            "mode": POINTS, "attributes": {name: at for at, name in enumerate(attributes)},
-            "extensions": {EXTENSION: {
-                "kernel": "ellipse", "colorSpace": "srgb_rec709_display",
-                "sortingMethod": "cameraDistance", "projection": "perspective"}}}]}]}
+    document |= {"bufferViews": views, "accessors": accessors, "meshes": [
+        _mesh(attributes, sortingMethod="cameraDistance", projection="perspective")]}
     return b"".join(parts)
 
 
@@ -232,8 +280,17 @@ def _rows(document: dict[str, Any], content: bytes, primitive: dict[str, Any]
         raise ValueError(f"its gaussians are compressed with {', '.join(others)}")
     attributes = primitive["attributes"]
 
+    def own(buffer: dict[str, Any]) -> bytes:
+        if "uri" in buffer:
+            raise ValueError("an attribute is in another file")
+        return content
+
     def values(name: str, width: int) -> NDArray[np.float64]:
-        return _accessor(document, content, attributes[name], width)
+        raw = accessor(document, attributes[name], width, own)
+        result = raw.astype(np.float64)
+        if document["accessors"][attributes[name]].get("normalized") and raw.dtype.kind != "f":
+            result = np.maximum(result / np.iinfo(raw.dtype).max, -1)
+        return result
 
     degree = 0
     while degree < len(BANDS) - 1 and all(
@@ -254,23 +311,32 @@ def _rows(document: dict[str, Any], content: bytes, primitive: dict[str, Any]
     return rows
 
 
-def _accessor(document: dict[str, Any], content: bytes, number: int, width: int
-              ) -> NDArray[np.float64]:
-    """The values float64[N, width] of an accessor."""
-    accessor = document["accessors"][number]
-    view = document["bufferViews"][accessor["bufferView"]]
-    kind, one = COMPONENTS[accessor["componentType"]]
-    count, size = accessor["count"], np.dtype(kind).itemsize
-    stride = view.get("byteStride", size * width)
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    if "sparse" in accessor or WIDTHS[accessor["type"]] != width or view.get("buffer") != 0:
-        raise ValueError("an attribute is sparse, of another type or in another file")
-    if count < 0 or start < 0 or stride < size * width:
+def accessor(document: dict[str, Any], number: int, width: int,
+             buffer: Callable[[dict[str, Any]], Any]) -> NDArray[Any]:
+    """The values [N, width] of an accessor, as they are stored.
+
+    Parameters
+    ----------
+    buffer : called with the description of a buffer, returns its bytes.
+
+    Raises
+    ------
+    ValueError, LookupError, TypeError : the document is damaged, or claims more than there is.
+    """
+    found = document["accessors"][number]
+    view = document["bufferViews"][found["bufferView"]]
+    described = document["buffers"][view["buffer"]]
+    kind = np.dtype(COMPONENTS[found["componentType"]])
+    count, stride = found["count"], view.get("byteStride", kind.itemsize * width)
+    start = view.get("byteOffset", 0) + found.get("byteOffset", 0)
+    if "sparse" in found or WIDTHS[found["type"]] != width:
+        raise ValueError("an attribute is sparse or of another type")
+    if count < 0 or start < 0 or stride < kind.itemsize * width:
         raise ValueError("an attribute has an impossible place")
+    content = buffer(described)
     check_expansion(len(content), 8 * width * count)
-    raw = np.ndarray((count, width), kind, content, start, (stride, size))  # checks the bounds
-    values = raw.astype(np.float64)
-    return np.maximum(values / one, -1) if accessor.get("normalized") else values
+    # numpy compares the place with the size of the content
+    return np.ndarray((count, width), kind, content, start, (stride, kind.itemsize))
 
 
 def _joined(parts: list[tuple[dict[str, NDArray[np.float64]], NDArray[np.float64]]]

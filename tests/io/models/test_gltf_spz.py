@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.models.formats import read_model
-from clsplat.io.models.gltf_spz import write_spz_glb
+from clsplat.io.models.gltf import write_spz_glb
 from tests.io.models.test_formats import BOUNDS, compare, model
 
 
