@@ -16,7 +16,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.models.formats import is_model, read_model, read_notes
 from clsplat.io.photos.undistort import undistorted
-from clsplat.io.runs.poses import read_poses
+from clsplat.io.runs.learned import read_poses
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, recorded

@@ -34,22 +34,27 @@ def reading(path: Path, what: str, cure: str = "export it again") -> Iterator[No
 
 
 def number(value: object, what: str) -> float:
-    """A number of JSON or of text, which must be finite and of usable size."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+    """A number of JSON, which must be finite and of usable size."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"{what} is not a number")
-    try:
-        result = float(value)
-    except (ValueError, OverflowError):
-        raise ValueError(f"{what} is not a number") from None
-    if not abs(result) <= LARGEST_COORDINATE:
+    if not abs(value) <= LARGEST_COORDINATE:
         raise ValueError(f"{what} is not a usable number")
-    return result
+    return float(value)
+
+
+def parsed(word: str | None, what: str) -> float:
+    """A number of text."""
+    try:
+        value = float(word or "")
+    except ValueError:
+        raise ValueError(f"{what} is not a number") from None
+    return number(value, what)
 
 
 def numbers(values: object, count: int, what: str) -> NDArray[np.float64]:
     """float64[count] of a list of JSON or of words of text."""
     if isinstance(values, str):
-        values = values.split()
+        values = [parsed(word, what) for word in values.split()]
     if not isinstance(values, (list, tuple)) or len(values) != count:
         raise ValueError(f"{what} is not {count} numbers")
     return np.array([number(value, what) for value in values])

@@ -20,7 +20,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.models.formats import write_model
 from clsplat.io.models.ply import write_ply
 from clsplat.io.photos.images import read_image
-from clsplat.io.runs.poses import write_poses
+from clsplat.io.runs.learned import write_poses
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve

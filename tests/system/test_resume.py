@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from clsplat.cli.main import main
 from clsplat.device import Device
 from clsplat.errors import InputError, Interrupted
-from clsplat.io.runs.poses import read_poses
+from clsplat.io.runs.learned import read_poses
 from clsplat.io.runs.run import RunFolder
 from clsplat.loss import image_loss
 from clsplat.training.loop import resume, train

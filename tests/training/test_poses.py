@@ -9,7 +9,7 @@ from clsplat.city.stages import begin
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.runs.city import CityFolder
-from clsplat.io.runs.poses import read_poses
+from clsplat.io.runs.learned import read_poses
 from clsplat.io.scenes.read import read_scene
 from clsplat.optimise.pose import WARM_UP
 from clsplat.options import resolve

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.georeference import CHECK, CONTROL, LEFT_OUT, Georeference, Residual
+from clsplat.io.fields import number, numbers, pixels, table, tables
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, write_object
 from clsplat.io.regular import read_regular
@@ -66,10 +67,8 @@ def georeference_of(record: dict[str, Any]) -> Georeference:
     crs = record.get("crs")
     if not (isinstance(crs, str) and 0 < len(crs.strip()) <= LONGEST_CRS and crs.isprintable()):
         raise ValueError("crs is not a line of text")
-    east, north, height = _numbers(record, "offset", 3)
-    rows, warnings = record.get("residuals", []), record.get("warnings", [])
-    if not (isinstance(rows, list) and all(isinstance(row, dict) for row in rows)):
-        raise ValueError("residuals are not a list of objects")
+    east, north, height = numbers(record.get("offset"), 3, "offset").tolist()
+    rows, warnings = tables(record.get("residuals", []), "residuals"), record.get("warnings", [])
     if not (isinstance(warnings, list) and all(map(_is_text, warnings))):
         raise ValueError("warnings are not a list of texts")
     source, kind, vertical = (_text(record, key) for key in ("source", "kind", "vertical"))
@@ -79,12 +78,10 @@ def georeference_of(record: dict[str, Any]) -> Georeference:
 
 
 def _residual(row: dict[str, Any]) -> Residual:
-    east, north, up, pixels = (row.get(key) for key in ("east", "north", "up", "pixels"))
-    if not all(value is None or _is_number(value) for value in (up, pixels)) or not (
-            _is_number(east) and _is_number(north)):
-        raise ValueError("residuals are not distances")
-    return Residual(_text(row, "name"), _text(row, "role"), float(east or 0), float(north or 0), up,
-                    pixels)
+    up, pixel = (None if row.get(key) is None else number(row[key], key)
+                 for key in ("up", "pixels"))
+    return Residual(_text(row, "name"), _text(row, "role"), number(row.get("east"), "east"),
+                    number(row.get("north"), "north"), up, pixel)
 
 
 def _text(record: dict[str, Any], key: str) -> str:
@@ -99,10 +96,10 @@ def _is_text(value: Any) -> bool:
 
 
 def _distance(record: dict[str, Any], key: str) -> float:
-    value = record.get(key, 0.0)
-    if not _is_number(value) or value < 0:
+    value = number(record.get(key, 0.0), key)
+    if value < 0:
         raise ValueError(f"{key} is not a distance")
-    return float(value)
+    return value
 
 
 def write_orientation(folder: str | Path, up: ArrayLike, first_view: Camera | None = None) -> None:
@@ -136,7 +133,7 @@ def read_orientation(folder: str | Path) -> tuple[NDArray[np.float64], Camera | 
     if record is None:
         return None
     try:
-        up = np.array(_numbers(record, "up", 3))
+        up = numbers(record.get("up"), 3, "up")
         length = float(np.linalg.norm(up))
         if not 0 < length < math.inf:
             raise ValueError("up has no direction")
@@ -231,35 +228,16 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 def _camera(record: Any) -> Camera:
     """The camera of a record; ValueError says what is wrong."""
-    if not isinstance(record, dict):
-        raise ValueError("first_view is not an object")
-    width, height = (_side(record, key) for key in ("width", "height"))
-    fx, fy = _numbers(record, "focal", 2)
-    cx, cy = _numbers(record, "centre", 2)
+    record = table(record, "first_view")
+    width, height = (pixels(record.get(key), key) for key in ("width", "height"))
+    fx, fy = numbers(record.get("focal"), 2, "focal").tolist()
+    cx, cy = numbers(record.get("centre"), 2, "centre").tolist()
     rows = record.get("rotation")
     if not (isinstance(rows, list) and len(rows) == 3):
         raise ValueError("rotation is not 3 x 3 numbers")
-    rotation = np.array([_numbers({"rotation": row}, "rotation", 3) for row in rows])
+    rotation = np.array([numbers(row, 3, "rotation") for row in rows])
     if not (fx > 0 and fy > 0 and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
             and np.linalg.det(rotation) > 0):
         raise ValueError("first_view is not a camera")
     return Camera(width, height, (fx, fy), (cx, cy), rotation,
-                  np.array(_numbers(record, "translation", 3)))
-
-
-def _side(record: dict[str, Any], key: str) -> int:
-    value = record.get(key)
-    if type(value) is not int or not 0 < value < 1 << 20:
-        raise ValueError(f"{key} is not a number of pixels")
-    return value
-
-
-def _numbers(record: dict[str, Any], key: str, count: int) -> list[float]:
-    values = record.get(key)
-    if not (isinstance(values, list) and len(values) == count and all(map(_is_number, values))):
-        raise ValueError(f"{key} is not {count} numbers")
-    return [float(value) for value in values]
-
-
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and abs(value) < 1e15
+                  numbers(record.get("translation"), 3, "translation"))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
-from clsplat.io.reason import reason
+from clsplat.io.fields import numbers, reading, table
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 
@@ -26,19 +26,15 @@ def read_polygons(path: str | Path) -> tuple[list[list[NDArray[np.float64]]], st
     ------
     InputError : the file is missing, is no GeoJSON, or has no polygon.
     """
-    try:
+    if not Path(path).exists():
+        raise InputError(f"{path}: no such file; give a GeoJSON file with a polygon")
+    polygons: list[list[NDArray[np.float64]]] = []
+    with reading(Path(path), "GeoJSON", "export the polygons again"):
         record = object_of(read_regular(path))
-        polygons: list[list[NDArray[np.float64]]] = []
         _collect(record, polygons)
-        crs = _crs(record)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; give a GeoJSON file with a polygon") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not GeoJSON, or damaged ({reason(error)}); export the polygons "
-                         "again") from None
     if not polygons:
         raise InputError(f"{path}: has no polygon; draw one, or give another file")
-    return polygons, crs
+    return polygons, _crs(record)
 
 
 def _collect(record: Any, polygons: list[list[NDArray[np.float64]]]) -> None:
@@ -48,9 +44,7 @@ def _collect(record: Any, polygons: list[list[NDArray[np.float64]]]) -> None:
         item = waiting.pop()
         if item is None:  # the geometry of a feature without a place
             continue
-        if not isinstance(item, dict):
-            raise ValueError("a feature or geometry is not an object")
-        match item.get("type"):
+        match table(item, "a feature or geometry").get("type"):
             case "FeatureCollection":
                 waiting += reversed(_list(item, "features"))
             case "GeometryCollection":
@@ -81,15 +75,10 @@ def _rings(rings: Any) -> list[NDArray[np.float64]]:
 
 
 def _ring(ring: Any) -> NDArray[np.float64]:
-    points = []
-    for point in ring if isinstance(ring, list) else ():
-        if not (isinstance(point, list) and len(point) >= 2
-                and all(type(value) in (int, float) and abs(value) < 1e15 for value in point[:2])):
-            raise ValueError("a corner of a polygon is not a pair of numbers")
-        points.append([float(value) for value in point[:2]])
-    if len(points) < 3:
+    if not isinstance(ring, list) or len(ring) < 3:
         raise ValueError("a polygon has fewer than three corners")
-    return np.array(points)
+    return np.array([numbers(point[:2] if isinstance(point, list) else point, 2,
+                             "a corner of a polygon") for point in ring])
 
 
 def _crs(record: dict[str, Any]) -> str:

@@ -27,9 +27,8 @@ from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, record_of, write_object
-from clsplat.io.runs.exposures import EXPOSURES, read_exposures, write_exposures
+from clsplat.io.runs.learned import EXPOSURES, POSES, read_exposures, write_exposures
 from clsplat.io.runs.origin import origin
-from clsplat.io.runs.poses import POSES
 from clsplat.io.runs.renders import Renders
 from clsplat.io.runs.scene_path import recorded_scene, scene_record
 from clsplat.response import Response

@@ -196,8 +196,7 @@ def _focal(frame: Mapping[str, Any], key: str, angle_key: str, side: int,
 def _number(frame: Mapping[str, Any], key: str, default: float | None = None) -> float:
     if key not in frame and default is None:
         raise ValueError(f"it has no {key}")
-    value = frame.get(key, default)
-    return number([] if isinstance(value, str) else value, key)  # no text, as a table may have
+    return number(frame.get(key, default), key)
 
 
 def _cloud(path: Path, table: Mapping[str, Any]) -> Cloud | None:

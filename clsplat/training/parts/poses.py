@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clsplat.errors import InputError
-from clsplat.io.runs.poses import write_poses
+from clsplat.io.runs.learned import write_poses
 from clsplat.optimise.options import PoseOptions
 from clsplat.optimise.pose import LEARNED, Poses, pose_rate
 from clsplat.placement.corrections import Correction, typical_depth

@@ -22,7 +22,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from clsplat.io.fields import number, numbers, pixels, reading
+from clsplat.io.fields import numbers, parsed, pixels, reading
 from clsplat.io.georeference.crs import is_local
 from clsplat.io.regular import open_regular, read_regular
 from clsplat.io.scenes.posed import Optics, PosedPhoto, brown, only
@@ -122,7 +122,7 @@ def _transforms(chunk: Element) -> Transforms:
 
 def _similarity(transform: Element) -> Similarity:
     """A similarity, each part of which may be missing."""
-    scale = number(transform.findtext("scale") or "1", "scale")
+    scale = parsed(transform.findtext("scale") or "1", "scale")
     if not scale > 0:
         raise ValueError("scale is not positive")
     rotation = numbers(transform.findtext("rotation") or "1 0 0 0 1 0 0 0 1", 9, "rotation")
@@ -156,8 +156,8 @@ def _optics(sensor: Element) -> Optics:
     size = sensor.find("resolution") if size is None else size
     if size is None:
         raise ValueError("its sensor has no resolution")
-    width, height = pixels(size.get("width"), "width"), pixels(size.get("height"), "height")
-    value = {key: number(calibration.findtext(key) or "0", key) for key in COEFFICIENTS}
+    width, height = (pixels(parsed(size.get(key), key), key) for key in ("width", "height"))
+    value = {key: parsed(calibration.findtext(key) or "0", key) for key in COEFFICIENTS}
     focal = value["f"] + value["b1"], value["f"]
     centre = width / 2 + value["cx"], height / 2 + value["cy"]
     k1, k2, k3, k4 = (value[f"k{number}"] for number in range(1, 5))

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from clsplat.io.fields import number, numbers, reading
+from clsplat.io.fields import numbers, parsed, reading
 from clsplat.io.photos.images import image_size
 from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular, read_regular
@@ -171,12 +171,12 @@ def _photo(row: Row, name: str, source: Path) -> PosedPhoto:
             return PosedPhoto(name, source, _xmp_optics(row, size), rotation,
                                 numbers(row["Position"], 3, "Position"))
         if "r00" in row:
-            rotation = np.array([[number(row.get(f"r{i}{j}"), f"R{i}{j}") for j in range(3)]
+            rotation = np.array([[parsed(row.get(f"r{i}{j}"), f"R{i}{j}") for j in range(3)]
                                  for i in range(3)])
-            translation = np.array([number(row[key], key) for key in MATRIX[:3]])
+            translation = np.array([parsed(row[key], key) for key in MATRIX[:3]])
             return PosedPhoto(name, source, _csv_optics(row, size), rotation,
                                 -rotation.T @ translation)
-        *position, yaw, pitch, roll = (number(row[key], key) for key in ANGLES)
+        *position, yaw, pitch, roll = (parsed(row[key], key) for key in ANGLES)
         return PosedPhoto(name, source, _csv_optics(row, size),
                             rotation_of(yaw, pitch, roll).T, np.array(position))
     except ValueError as error:
@@ -193,22 +193,22 @@ def rotation_of(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
 def _csv_optics(row: Row, size: tuple[int, int]) -> Optics:
     longer = max(size)
     if "f_pix" in row:
-        focal, *centre = (number(row.get(key), key) for key in ("f_pix", "px_pix", "py_pix"))
+        focal, *centre = (parsed(row.get(key), key) for key in ("f_pix", "px_pix", "py_pix"))
     else:
-        focal = longer * number(row.get("f_35mm"), "f") / 36
-        centre = [side / 2 + longer * number(row.get(key, "0"), key)
+        focal = longer * parsed(row.get("f_35mm"), "f") / 36
+        centre = [side / 2 + longer * parsed(row.get(key, "0"), key)
                   for side, key in zip(size, ("px_norm", "py_norm"))]
-    values = [number(row.get(key, "0"), key) for key in COEFFICIENTS]
+    values = [parsed(row.get(key, "0"), key) for key in COEFFICIENTS]
     return _optics(size, (focal, focal), (centre[0], centre[1]), values, division=False)
 
 
 def _xmp_optics(row: Row, size: tuple[int, int]) -> Optics:
     longer = max(size)
-    if number(row.get("Skew", "0"), "Skew") or number(row.get("AspectRatio", "1"), "Aspect") != 1:
+    if parsed(row.get("Skew", "0"), "Skew") or parsed(row.get("AspectRatio", "1"), "Aspect") != 1:
         raise ValueError("its pixels are not square; align without skew and aspect ratio (models "
                          "K+Brown)")
-    focal = longer * number(row["FocalLength35mm"], "FocalLength35mm") / 36
-    x, y = (side / 2 + longer * number(row.get(f"PrincipalPoint{axis}", "0"), "PrincipalPoint")
+    focal = longer * parsed(row["FocalLength35mm"], "FocalLength35mm") / 36
+    x, y = (side / 2 + longer * parsed(row.get(f"PrincipalPoint{axis}", "0"), "PrincipalPoint")
             for side, axis in zip(size, "UV"))
     model = row.get("DistortionModel", "")
     if model not in MODELS:
