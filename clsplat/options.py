@@ -9,7 +9,7 @@ from typing import Any
 from clsplat.config import option as declared
 from clsplat.config import toml
 from clsplat.config.option import AUTO, MOST_STEPS, option, options_of, shown_name
-from clsplat.densify.options import GrowthOptions, SphereOptions
+from clsplat.densify.options import GrowthOptions
 from clsplat.errors import InputError
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.loss.options import (
@@ -23,7 +23,7 @@ from clsplat.loss.options import (
 from clsplat.optimise.options import OptimiseOptions, PoseOptions
 from clsplat.rendering.options import RenderingOptions
 from clsplat.schedule.mcmc import McmcOptions
-from clsplat.schedule.registry import OURS, ScheduleOptions, own_options, schedule_of
+from clsplat.schedule.registry import OURS, others, own_options, schedule_of
 from clsplat.schedule.sig import SigOptions
 from clsplat.schedule.steps import PUBLISHED_LENGTH, chooses_steps
 from clsplat.schedule.taming import TamingOptions
@@ -51,7 +51,10 @@ def seconds_of(text: str) -> float:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How long a run is, and what it writes on the way."""
+    """How long a run is, which schedule it follows, on which device, and what it writes.
+
+    A run may be resumed on another device; its record names the first.
+    """
 
     iterations: int = option(AUTO, "Run", "training steps; auto: 300 for each training photo, at "
                              "least 7000 and at most 30000; --visits may end them earlier",
@@ -86,12 +89,10 @@ class RunOptions:
                           "unless -r says otherwise", sets={True: {
                               "downscale": 2.0,
                               "max_resolution": SceneOptions.max_resolution // 2}})
-
-
-@dataclass(frozen=True)
-class DeviceOptions:
-    """The device of a run. A run may be resumed on another one; its record names the first."""
-
+    schedule: str = option("sig", "Schedule", "how resolution and growth are decided: sig follows "
+                           "the scene frequency; constant is 3DGS; dash is DashGaussian; taming is "
+                           "Taming 3DGS; mcmc is 3DGS-MCMC", main=True, choices=tuple(OURS),
+                           more=others, measured=True)
     device: str = option("auto", "Device", "auto, cpu, gpu, a number of `clsplat devices`, or part "
                          "of a name", affects="nothing", main=True)
     form: str = option("auto", "Device", "form of the kernels: item suits CPUs, group suits GPUs; "
@@ -99,13 +100,18 @@ class DeviceOptions:
 
 
 @dataclass(frozen=True)
-class TrainOptions(DeviceOptions, GrowthOptions, TamingOptions, McmcOptions, SphereOptions,
-                   SigOptions, OptimiseOptions, PoseOptions, DepthOptions, ReprojectOptions,
-                   RobustOptions, ExposureOptions, RegulariseOptions, ImageLossOptions,
-                   RenderingOptions, ScheduleOptions, SceneOptions, RunOptions):
+class ScheduledOptions(TamingOptions, McmcOptions, GrowthOptions, SigOptions, OptimiseOptions,
+                       ReprojectOptions, ImageLossOptions, RenderingOptions, RunOptions):
+    """What a schedule and a step read, which see neither photos nor files."""
+
+
+@dataclass(frozen=True)
+class TrainOptions(PoseOptions, DepthOptions, RobustOptions, ExposureOptions, RegulariseOptions,
+                   SceneOptions, ScheduledOptions):
     """Everything that decides a training; defaults are those of Kerbl et al. (2023).
 
-    The help lists the groups from the last base to the first.
+    Its bases are the groups that concerns and parts declare. A function takes the group that it
+    reads, and is given the whole. The help lists the groups from the last base to the first.
     """
 
 
@@ -154,7 +160,7 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
     for known in options_of(kind):
         values |= known.metadata["sets"].get(getattr(chosen, known.name), {})
     if any(given.get(known.name, known.default) != known.default
-           for known in options_of(SphereOptions)):
+           for known in options_of(kind) if known.metadata["part"] == "spheres"):
         values["sphere"] = True
     options = kind(**{**values, **given})
     _check_agreement(options, given)
@@ -162,7 +168,8 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
 
 
 EARLIER = {"vignetting": "off"}  # what runs did that do not record an option
-REMOVED = {"tone": "off"}  # options of earlier versions -> the value that is what runs do now
+# options of earlier versions -> the value that is what runs do now
+REMOVED = {"tone": "off", "moments": "float", "split_size": 0.01}
 
 
 def recorded(record: dict[str, Any]) -> TrainOptions:

@@ -1,5 +1,6 @@
 """The table of options: TOML in, flags over it, one line for whatever is wrong."""
 
+import ast
 import dataclasses
 import json
 import math
@@ -15,6 +16,7 @@ from clsplat.errors import InputError
 from clsplat.options import TrainOptions, checked, from_toml, resolve, seconds_of, serves
 from clsplat.schedule import OURS, schedule_of
 from clsplat.schedule.sig import PAPER, RELEASE
+from tests.test_layout import ROOT
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
 FLAGS = [name for name, field in FIELDS.items() if field.metadata["flag"]]
@@ -93,6 +95,16 @@ def test_an_option_s_flag_if_it_has_one_and_its_key_agree(name, toml):
     assert getattr(resolve({}, {**around, name: value}), name) == value
 
 
+def test_few_functions_take_all_options():
+    """Others take the group that they read; see `ScheduledOptions`."""
+    found = [function.name for path in (ROOT / "clsplat").rglob("*.py")
+             for function in ast.walk(ast.parse(path.read_text("utf-8")))
+             if isinstance(function, ast.FunctionDef)
+             and any(argument.annotation and "TrainOptions" in ast.unparse(argument.annotation)
+                     for argument in (*function.args.args, *function.args.kwonlyargs))]
+    assert "find_decisions" in found and len(found) <= 40, found
+
+
 def test_no_flag_is_given_by_default():
     assert parse()[0] == {}
     assert resolve({}, {}) == TrainOptions()
@@ -158,10 +170,6 @@ def test_a_file_that_is_not_text_or_not_there(tmp_path):
 def test_a_flag_out_of_its_limits_is_refused():
     with pytest.raises(InputError, match="option 'downscale' expects a number of at least 1, got"):
         resolve({}, {"downscale": 0.5})
-
-
-def test_whole_numbers_serve_as_fractions():
-    assert resolve({"downscale": 2}, {}).downscale == 2.0
 
 
 @pytest.mark.parametrize("text, wish", [
@@ -288,11 +296,6 @@ def test_an_option_of_another_schedule_is_refused(name, schedule):
 def test_what_a_file_and_a_flag_say_together_is_refused(toml):
     with pytest.raises(InputError, match="--levels: has no effect with --schedule constant"):
         resolve(from_toml(toml("levels = [4, 2, 1]")), {"schedule": "constant"})
-
-
-@pytest.mark.parametrize("levels", [(1.0,), (2.0, 1.0), (5.0, 2.5, 5 / 3, 1.25, 1.0), ()])
-def test_levels_that_fall_to_1(levels):
-    assert resolve({}, {"levels": levels}).levels == levels
 
 
 @pytest.mark.parametrize("levels, shown", [

@@ -23,7 +23,7 @@ from clsplat.io.atomic import replacing
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
 from clsplat.io.runs.city import DENSE, EXCHANGES, LAYERS, OTHERS, PARTITION, CityFolder
-from clsplat.options import TrainOptions
+from clsplat.options import RunOptions, TrainOptions
 from clsplat.partition.blocks import block_start, filled
 from clsplat.partition.input import world_of
 from clsplat.partition.make import make_partition
@@ -154,7 +154,7 @@ def visits_of_blocks(partition: Partition, scene: Scene, gaussians: Gaussians,
     return found
 
 
-def planned_exchanges(city: CityFolder, options: TrainOptions, steps: Sequence[float]) -> int:
+def planned_exchanges(city: CityFolder, options: RunOptions, steps: Sequence[float]) -> int:
     """How often the blocks of a city exchange gaussians.
 
     Not at all with a time budget, as it is not known before when which step is taken.

@@ -26,7 +26,7 @@ from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.records import object_of
 from clsplat.io.runs.city import LAYERS, BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
-from clsplat.options import TrainOptions
+from clsplat.io.scenes.options import SceneOptions
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import Arrays, Saved, gaussians_of
@@ -118,7 +118,7 @@ def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
 
 
 def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
-             options: TrainOptions, number: int, run: RunFolder) -> Saved:
+             options: SceneOptions, number: int, run: RunFolder) -> Saved:
     """Replace a block's margin and surroundings by the parts of other blocks.
 
     Returns the checkpoint from which the block goes on; that of its run stays as it is. What its

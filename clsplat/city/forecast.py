@@ -13,10 +13,12 @@ from clsplat.estimate.measured import LEAST_STEPS, MeasuredSteps
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import LEARNED
 from clsplat.io.runs.city import DENSE, EXCHANGES, LAYERS, CityFolder
+from clsplat.io.scenes.options import SceneOptions
 from clsplat.io.scenes.read import read_scene
-from clsplat.options import TrainOptions
+from clsplat.options import ScheduledOptions
 from clsplat.partition.grid import makespan
 from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, PartitionOptions
+from clsplat.rendering.options import RenderingOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
@@ -38,14 +40,14 @@ LEAST_JOINT_STEPS = 450  # fewer are not worth it
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
 
 
-def facts_of_whole(scene: Scene, options: TrainOptions) -> tuple[SceneFacts, int]:
+def facts_of_whole(scene: Scene, options: SceneOptions) -> tuple[SceneFacts, int]:
     """(The facts of the whole scene for its schedule, the number of training photos)."""
     scene = scene.reduced(options.downscale, options.max_resolution)
     views, _ = scene.split(options.test_every, options.test_offset)
     return scene_facts(scene, views), len(views)
 
 
-def expected_gaussians(facts: SceneFacts, options: TrainOptions) -> int:
+def expected_gaussians(facts: SceneFacts, options: ScheduledOptions) -> int:
     """About how many gaussians the whole scene has at the end.
 
     Parameters
@@ -56,7 +58,7 @@ def expected_gaussians(facts: SceneFacts, options: TrainOptions) -> int:
     return max(facts.count, facts.pixels // PIXELS_PER_GAUSSIAN if limit is None else limit)
 
 
-def gaussians_that_fit(device: Device, options: TrainOptions, memory_bytes: int = 0) -> int:
+def gaussians_that_fit(device: Device, options: RenderingOptions, memory_bytes: int = 0) -> int:
     """How many gaussians a block may have at the end on a device.
 
     Parameters
@@ -176,7 +178,7 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
         *exchange_notes((record for _, record in records), forecast.gaussians / max(initial))))
 
 
-def trains_jointly(facts: SceneFacts, photos: int, options: TrainOptions) -> bool:
+def trains_jointly(facts: SceneFacts, photos: int, options: ScheduledOptions) -> bool:
     """Whether a city whose model a device holds is trained jointly at the end, if nobody says so.
 
     Only where one run takes all the steps that its photos allow: with fewer, blocks gain more by

@@ -23,7 +23,8 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
-from clsplat.options import TrainOptions
+from clsplat.io.scenes.options import SceneOptions
+from clsplat.options import RunOptions
 from clsplat.scene import Scene, View
 from clsplat.training.progress import SilentProgress
 
@@ -99,7 +100,7 @@ class ScoreJob(Job):
         return Scored(per_view, strips)
 
 
-def views_of(scene: Scene, options: TrainOptions) -> tuple[list[View], bool]:
+def views_of(scene: Scene, options: SceneOptions) -> tuple[list[View], bool]:
     """The views on which a city is scored, and whether they were held out.
 
     Parameters
@@ -117,7 +118,7 @@ def reference_model(city: CityFolder, scene: Scene, reference: Path | None) -> G
     return read_ply(path, scene.offset).without_spheres()
 
 
-def score_in_shares(city: CityFolder, options: TrainOptions, reference: Path | None,
+def score_in_shares(city: CityFolder, options: RunOptions, reference: Path | None,
                     views: Sequence[View], workers: Workers) -> Scored | None:
     """Score the views of a merged city on all workers.
 

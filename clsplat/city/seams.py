@@ -32,9 +32,9 @@ from clsplat.evaluation.views import Image, opened, photo_of, render_view, score
 from clsplat.gaussians import Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.photos.views import read_valid
-from clsplat.options import TrainOptions
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Space
+from clsplat.rendering.options import RenderingOptions
 from clsplat.rendering.slabs import ModelRenderer
 from clsplat.scene import Scene, View
 
@@ -134,7 +134,7 @@ def _most(seen: list[Shown]) -> list[Shown]:
 
 
 def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequence[View],
-               options: TrainOptions, merged: Gaussians, counts: NDArray[np.integer],
+               options: RenderingOptions, merged: Gaussians, counts: NDArray[np.integer],
                reference: Gaussians, block_model: Callable[[int], Gaussians | None],
                strips: Strips | None = None) -> dict[str, Any]:
     """Measure how visible the seams between blocks are. All models are in the scene's frame.
@@ -180,7 +180,7 @@ def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequen
 
 
 def inspect_views(device: Device, partition: Partition, scene: Scene, views: Sequence[View],
-                  options: TrainOptions, merged: Gaussians, reference: Gaussians,
+                  options: RenderingOptions, merged: Gaussians, reference: Gaussians,
                   chosen: Iterable[int] | None = None) -> Strips:
     """Where views show each border, and the errors beside it.
 

@@ -18,7 +18,7 @@ from clsplat.densify.sphere import children as sphere_children
 from clsplat.densify.sphere import outside
 
 if TYPE_CHECKING:
-    from clsplat.options import TrainOptions
+    from clsplat.densify.options import GrowthOptions
 
 SPLIT_SIZE = 0.01  # share of the scene extent; larger gaussians are split, smaller ones cloned
 SPLIT_SHRINK = 1.6
@@ -72,7 +72,7 @@ class Candidates:
     visible : bool[N], those neither transparent nor outside their sphere.
     """
 
-    def __init__(self, rows: dict[str, NDArray[np.float32]], extent: float, options: TrainOptions,
+    def __init__(self, rows: dict[str, NDArray[np.float32]], extent: float, options: GrowthOptions,
                  prunes_large: bool) -> None:
         self.rows, self.options = rows, options
         # thresholds are taken to logarithms and logits rather than all rows from them

@@ -29,12 +29,7 @@ class GrowthOptions:
                                measured=True)
     reset_every: int = option(0, "Growth", "steps between opacity resets", words={"none": 0},
                               minimum=1, flag=False)
-
-
-@dataclass(frozen=True)
-class SphereOptions:
-    """Spheres around the initial points, which gaussians must not leave."""
-
+    # spheres around the initial points
     sphere: bool = option(False, "Spheres", "remove gaussians that leave the sphere around their "
                           "anchor; on where another option of spheres is given", part="spheres",
                           flag=False, measured=True)

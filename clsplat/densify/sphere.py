@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from clsplat.gaussians import Gaussians, mean_neighbour_distance
 
 if TYPE_CHECKING:
-    from clsplat.options import TrainOptions
+    from clsplat.densify.options import GrowthOptions
 
 ROWS_AT_A_TIME = 1 << 14  # so few that numbers between two operations stay in the cache
 NEARLY = 1 - 1e-5  # of a radius: a length in single precision is surely within it
@@ -56,7 +56,7 @@ def outside(positions: NDArray[np.float32], anchors: NDArray[np.float32],
 
 
 def children(parents: dict[str, NDArray[np.float32]], positions: NDArray[np.float32],
-             options: TrainOptions) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+             options: GrowthOptions) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The anchors [S, 3] and max_offsets [S] of the children of splits.
 
     Parameters

@@ -15,7 +15,7 @@ from clsplat.estimate.cost import (
 from clsplat.estimate.detail import photo_detail
 from clsplat.estimate.trial_steps import sampled
 from clsplat.gaussians import Gaussians
-from clsplat.options import TrainOptions, seconds_of
+from clsplat.options import ScheduledOptions, TrainOptions, seconds_of
 from clsplat.scene import Scene
 from clsplat.schedule import laid_over
 from clsplat.schedule.simulate import Segment, largest, simulate
@@ -105,7 +105,7 @@ class Planned:
                         self._streaming(memory, len({segment.level for segment in segments})),
                         measured)
 
-    def _segments(self, options: TrainOptions, gaussians: Gaussians) -> list[Segment]:
+    def _segments(self, options: ScheduledOptions, gaussians: Gaussians) -> list[Segment]:
         """The simulated run, including the gaussians of a block that are frozen."""
         schedule = self.prepared.schedule(gaussians, options)
         unknown = set(schedule.levels) - self._details.keys()

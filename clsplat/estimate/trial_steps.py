@@ -8,8 +8,8 @@ import numpy as np
 from clsplat.camera import Camera
 from clsplat.device import Array, Device
 from clsplat.gaussians import Gaussians
-from clsplat.options import TrainOptions
 from clsplat.rendering.blend import FRONT_AND_BACK_PLANES
+from clsplat.rendering.options import RenderingOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene, View
 from clsplat.schedule import Plan
@@ -62,7 +62,7 @@ class TrialSteps:
             if isinstance(images, (SizedPhotos, SizedLayers)))
 
 
-def trial_plan(options: TrainOptions, level: float, regularises: bool) -> Plan:
+def trial_plan(options: RenderingOptions, level: float, regularises: bool) -> Plan:
     """The plan of a step with all spherical harmonics, which gathers statistics."""
     return Plan(level=level, degree=options.sh_degree, gathers=True, grows=False,
                 resets_opacity=False, prunes_large=False, decay=0.0,

@@ -31,8 +31,8 @@ from clsplat.io.ahead import called_ahead
 from clsplat.io.folders import make_folder
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.views import read_photo, read_valid
-from clsplat.options import TrainOptions
 from clsplat.placement.corrections import typical_depth
+from clsplat.rendering.options import RenderingOptions
 from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.response import Response
 from clsplat.scene import Scene, View
@@ -189,7 +189,7 @@ def photo_of(view: View) -> NDArray[np.float32]:
     return photo
 
 
-def opened(device: Device, gaussians: Gaussians, scene: Scene, options: TrainOptions
+def opened(device: Device, gaussians: Gaussians, scene: Scene, options: RenderingOptions
            ) -> tuple[ModelRenderer, Any, int]:
     """A finished model on a device: the renderer, its rows and the SH degree.
 

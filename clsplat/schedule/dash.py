@@ -20,7 +20,7 @@ from clsplat.schedule.constant import Constant
 from clsplat.schedule.plan import Plan, SceneFacts
 
 if TYPE_CHECKING:
-    from clsplat.options import TrainOptions
+    from clsplat.options import ScheduledOptions
 
 LARGEST_FACTOR = 8
 TILE = 16  # pixels
@@ -47,16 +47,16 @@ class Dash(Constant):
     selection = "highest"
 
     @classmethod
-    def grows_until(cls, options: TrainOptions) -> int:
+    def grows_until(cls, options: ScheduledOptions) -> int:
         """See `Schedule.grows_until`."""
         return int(GROWS_SHARE * options.iterations)
 
     @classmethod
-    def planned_levels(cls, options: TrainOptions, facts: SceneFacts) -> tuple[None, str]:
+    def planned_levels(cls, options: ScheduledOptions, facts: SceneFacts) -> tuple[None, str]:
         """See `Schedule.planned_levels`."""
         return None, "computed from the photos' spectra when training begins"
 
-    def __init__(self, options: TrainOptions, facts: SceneFacts) -> None:
+    def __init__(self, options: ScheduledOptions, facts: SceneFacts) -> None:
         super().__init__(options, facts)
         self.times, self.sharpness = resolution_curve(facts)
         self.factor = self._factor(0)

@@ -16,7 +16,7 @@ from clsplat.config.option import option
 from clsplat.schedule.plan import Plan, SceneFacts, Schedule
 
 if TYPE_CHECKING:
-    from clsplat.options import TrainOptions
+    from clsplat.options import ScheduledOptions
 
 GROWS_SHARE = 25 / 30  # of the run
 CAP = 1_000_000  # gaussians up to which the model grows, unless --max-gaussians names them
@@ -40,12 +40,12 @@ class Mcmc(Schedule):
     selection = "relocation"
 
     @classmethod
-    def grows_until(cls, options: "TrainOptions") -> int:
+    def grows_until(cls, options: "ScheduledOptions") -> int:
         """See `Schedule.grows_until`."""
         return int(GROWS_SHARE * options.iterations)
 
     @classmethod
-    def planned_limit(cls, options: "TrainOptions", facts: SceneFacts) -> tuple[int, str]:
+    def planned_limit(cls, options: "ScheduledOptions", facts: SceneFacts) -> tuple[int, str]:
         """See `Schedule.planned_limit`."""
         cap = options.max_gaussians or CAP
         return cap, f"{cap:,}: " + ("requested" if options.max_gaussians else "of 3DGS-MCMC")

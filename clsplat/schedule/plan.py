@@ -11,7 +11,7 @@ if TYPE_CHECKING:  # --help must not wait for numpy
     import numpy as np
     from numpy.typing import NDArray
 
-    from clsplat.options import TrainOptions
+    from clsplat.options import ScheduledOptions
 
 LIMITS = (("level", 1, 1e6), ("degree", 0, 3), ("decay", -1, math.inf),  # of a Plan
           ("regularises", 0, 1e6))
@@ -117,21 +117,21 @@ class Schedule:
     observe_every = 100
     latest: Any = None
 
-    def __init__(self, options: TrainOptions, facts: SceneFacts) -> None:
+    def __init__(self, options: ScheduledOptions, facts: SceneFacts) -> None:
         self.options, self.facts = options, facts
 
     @classmethod
-    def grows_until(cls, options: TrainOptions) -> int:
+    def grows_until(cls, options: ScheduledOptions) -> int:
         """The value of `densify_until` if the options leave it at auto: half of the run."""
         return options.iterations // 2
 
     @classmethod
-    def grows_every(cls, options: TrainOptions) -> int:
+    def grows_every(cls, options: ScheduledOptions) -> int:
         """The value of `densify_every` if the options leave it at auto; 0 if `plan` decides."""
         return STEPS_A_ROUND
 
     @classmethod
-    def planned_levels(cls, options: TrainOptions, facts: SceneFacts
+    def planned_levels(cls, options: ScheduledOptions, facts: SceneFacts
                        ) -> tuple[tuple[float, ...] | None, str]:
         """Say before training which levels will come.
 
@@ -147,7 +147,7 @@ class Schedule:
         return cls.levels, f"{listed(cls.levels)}: {sizes_text(cls.levels, facts.size)}"
 
     @classmethod
-    def planned_limit(cls, options: TrainOptions, facts: SceneFacts) -> tuple[int | None, str]:
+    def planned_limit(cls, options: ScheduledOptions, facts: SceneFacts) -> tuple[int | None, str]:
         """(Limit, sentence for the user): up to how many gaussians the model may grow at the finest
         level; None where the schedule has no limit.
 
@@ -159,7 +159,8 @@ class Schedule:
         return None, "none: the schedule has no limit"
 
     @classmethod
-    def most_steps(cls, options: TrainOptions, facts: SceneFacts, photos: int) -> tuple[int, str]:
+    def most_steps(cls, options: ScheduledOptions, facts: SceneFacts, photos: int
+                   ) -> tuple[int, str]:
         """(Number, clause with the reason): the most steps that are worth taking, whatever the
         options ask for, before `steps_scale`; 0: any number.
 
@@ -172,7 +173,7 @@ class Schedule:
         return 0, ""
 
     @classmethod
-    def options_of_block(cls, options: TrainOptions, size: tuple[int, int], facts: SceneFacts
+    def options_of_block(cls, options: ScheduledOptions, size: tuple[int, int], facts: SceneFacts
                          ) -> dict[str, Any]:
         """{option: value} that differ from `options` in a block of a city, which starts from a
         coarse run.

@@ -1,11 +1,10 @@
 """Schedules by name: our own, and those that other packages register as entry points."""
 
 import dataclasses
-from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
-from clsplat.config.option import option, options_of
+from clsplat.config.option import options_of
 from clsplat.errors import InputError
 from clsplat.schedule.plan import Schedule
 from clsplat.schedule.plug_in import CORRECT, clean, guarded, load, source_of
@@ -75,13 +74,3 @@ def own_options(name: str, taken: type) -> type | None:
     if twice:
         raise InputError(f"{cure} names {', '.join(twice)}, which clsplat has; {CORRECT}")
     return own
-
-
-@dataclass(frozen=True)
-class ScheduleOptions:
-    """The schedule that a training follows; its own options are in its file."""
-
-    schedule: str = option("sig", "Schedule", "how resolution and growth are decided: sig follows "
-                           "the scene frequency; constant is 3DGS; dash is DashGaussian; taming is "
-                           "Taming 3DGS; mcmc is 3DGS-MCMC", main=True, choices=tuple(OURS),
-                           more=others, measured=True)

@@ -30,7 +30,7 @@ from clsplat.schedule.sig_limits import (
 )
 
 if TYPE_CHECKING:
-    from clsplat.options import TrainOptions
+    from clsplat.options import ScheduledOptions
 
 OBSERVE_STEPS = 100  # between samples of the frequency, fewer where levels are short
 SAMPLES_A_LEVEL = 8
@@ -114,17 +114,17 @@ class Sig(Schedule):
     Options = SigOptions
 
     @classmethod
-    def grows_until(cls, options: "TrainOptions") -> int:
+    def grows_until(cls, options: "ScheduledOptions") -> int:
         """See `Schedule.grows_until`: to the end, as each level has its own rounds."""
         return options.iterations if options.rounds else super().grows_until(options)
 
     @classmethod
-    def grows_every(cls, options: "TrainOptions") -> int:
+    def grows_every(cls, options: "ScheduledOptions") -> int:
         """See `Schedule.grows_every`: the length of a level decides (`every`)."""
         return 0 if options.rounds else super().grows_every(options)
 
     @classmethod
-    def planned_levels(cls, options: "TrainOptions", facts: SceneFacts
+    def planned_levels(cls, options: "ScheduledOptions", facts: SceneFacts
                        ) -> tuple[tuple[float, ...], str]:
         """See `Schedule.planned_levels`."""
         levels = chosen_levels(options, facts.size)
@@ -134,7 +134,8 @@ class Sig(Schedule):
                         f"shorter than {LEAST_STEPS} steps, are left out")
 
     @classmethod
-    def planned_limit(cls, options: "TrainOptions", facts: SceneFacts) -> tuple[int | None, str]:
+    def planned_limit(cls, options: "ScheduledOptions", facts: SceneFacts
+                      ) -> tuple[int | None, str]:
         """See `Schedule.planned_limit`."""
         each = pixels_per_gaussian(options, facts)
         if not each:
@@ -145,7 +146,7 @@ class Sig(Schedule):
         return limit, f"{limit:,}: one for each {each:.1f} training pixels, {differing(facts)}"
 
     @classmethod
-    def most_steps(cls, options: "TrainOptions", facts: SceneFacts, photos: int
+    def most_steps(cls, options: "ScheduledOptions", facts: SceneFacts, photos: int
                    ) -> tuple[int, str]:
         """See `Schedule.most_steps`."""
         most = most_steps(options, facts, photos)
@@ -157,7 +158,7 @@ class Sig(Schedule):
         return most, f"for {photos:,} training photos, {why}"
 
     @classmethod
-    def options_of_block(cls, options: "TrainOptions", size: tuple[int, int], facts: SceneFacts
+    def options_of_block(cls, options: "ScheduledOptions", size: tuple[int, int], facts: SceneFacts
                          ) -> dict[str, Any]:
         """See `Schedule.options_of_block`: the coarse run, at half size, had the coarser levels,
         and has pruned what it did not need. All blocks have the same pixels for a gaussian."""
@@ -167,7 +168,7 @@ class Sig(Schedule):
         levels = chosen_levels(options, size, LEVELS_OF_BLOCK, TILE)
         return {"levels": levels, "level_reset": False, **each}
 
-    def __init__(self, options: "TrainOptions", facts: SceneFacts) -> None:
+    def __init__(self, options: "ScheduledOptions", facts: SceneFacts) -> None:
         super().__init__(options, facts)
         self.levels = chosen_levels(options, facts.size)
         self.shares = level_shares(self.levels, options.level_share)

@@ -10,7 +10,7 @@ from clsplat.errors import InputError
 from clsplat.schedule.plan import SceneFacts
 
 if TYPE_CHECKING:
-    from clsplat.options import TrainOptions
+    from clsplat.options import ScheduledOptions
 
 LEVELS = (5.0, 4.0, 3.0, 2.0, 1.0)
 LEVELS_OF_BLOCK = (2.0, 1.0)
@@ -44,7 +44,7 @@ def level_shares(levels: Sequence[float], together: float | str) -> tuple[float,
     return tuple(together * resolution / sum(coarser) for resolution in coarser)
 
 
-def pixels_per_gaussian(options: "TrainOptions", facts: SceneFacts) -> float:
+def pixels_per_gaussian(options: "ScheduledOptions", facts: SceneFacts) -> float:
     """The least number of training pixels for each gaussian; 0: any number.
 
     The mean of n colours that scatter by s has a standard error of s / sqrt(n).
@@ -58,13 +58,13 @@ def pixels_per_gaussian(options: "TrainOptions", facts: SceneFacts) -> float:
     return max(LEAST_PIXELS_A_GAUSSIAN, (scatter / COLOUR_ERROR) ** 2)
 
 
-def most_gaussians(options: "TrainOptions", facts: SceneFacts, level: float) -> float:
+def most_gaussians(options: "ScheduledOptions", facts: SceneFacts, level: float) -> float:
     """Number of gaussians that the training pixels of a level can determine; may be inf."""
     each = pixels_per_gaussian(options, facts)
     return math.floor(facts.pixels / level**2 / each) if each else math.inf
 
 
-def chosen_levels(options: "TrainOptions", size: tuple[int, int],
+def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
                   candidates: tuple[float, ...] = LEVELS, least: int = SMALLEST_SIDE
                   ) -> tuple[float, ...]:
     """The down-sampling factors of a training.
@@ -99,7 +99,7 @@ def chosen_levels(options: "TrainOptions", size: tuple[int, int],
     return levels
 
 
-def most_steps(options: "TrainOptions", facts: SceneFacts, photos: int) -> int:
+def most_steps(options: "ScheduledOptions", facts: SceneFacts, photos: int) -> int:
     """The most steps that are worth taking with so many training photos; 0: any number.
 
     Held-out photos get worse after these, as gaussians then learn what the photos disagree about.

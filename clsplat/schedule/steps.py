@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from clsplat.config.option import MOST_STEPS, is_auto
 from clsplat.schedule.registry import schedule_of
 
 if TYPE_CHECKING:
-    from clsplat.options import TrainOptions
+    from clsplat.options import RunOptions, ScheduledOptions
     from clsplat.schedule.plan import SceneFacts
+
+Options = TypeVar("Options", bound="ScheduledOptions")
 
 STEP_COUNTS = ("iterations", "sh_every", "densify_from", "densify_until", "densify_every",
                "reset_every")
@@ -19,12 +21,12 @@ PUBLISHED_LENGTH = 30_000  # steps, of 3DGS (Kerbl et al. 2023)
 STEPS_A_PHOTO = 300  # steps a photo, after which held-out photos of small sets get worse: judge.md
 
 
-def chooses_steps(options: TrainOptions) -> bool:
+def chooses_steps(options: RunOptions) -> bool:
     """Whether the options have a number of steps, which is auto otherwise."""
     return not is_auto(options.iterations)
 
 
-def planned_steps(options: TrainOptions, photos: int) -> tuple[int, str]:
+def planned_steps(options: RunOptions, photos: int) -> tuple[int, str]:
     """The length of a run, before `steps_scale`, and a sentence with the reason.
 
     Few photos are learned in fewer steps than many, and more steps over-fit them.
@@ -43,7 +45,8 @@ def planned_steps(options: TrainOptions, photos: int) -> tuple[int, str]:
                    f"least {FULL_LENGTH:,} and at most {PUBLISHED_LENGTH:,}")
 
 
-def worthwhile_steps(options: TrainOptions, facts: SceneFacts, photos: int) -> tuple[int, int, str]:
+def worthwhile_steps(options: ScheduledOptions, facts: SceneFacts, photos: int
+                     ) -> tuple[int, int, str]:
     """The length of a run that takes no more steps than its photos allow, before `steps_scale`.
 
     Parameters
@@ -67,7 +70,7 @@ def worthwhile_steps(options: TrainOptions, facts: SceneFacts, photos: int) -> t
     return min(steps, most), most, reason
 
 
-def scaled_steps(options: TrainOptions) -> TrainOptions:
+def scaled_steps(options: Options) -> Options:
     """Multiply every step count by `steps_scale`.
 
     Where `densify_until` and `densify_every` are auto, the schedule fills them in first.
@@ -79,7 +82,7 @@ def scaled_steps(options: TrainOptions) -> TrainOptions:
         options.steps_scale)
 
 
-def laid_over(options: TrainOptions, iterations: int) -> TrainOptions:
+def laid_over(options: Options, iterations: int) -> Options:
     """Fit options to a run of another length, of at most MOST_STEPS steps.
 
     The end of growth keeps its share of the run; the other step counts shrink with a run of fewer
@@ -97,7 +100,7 @@ def laid_over(options: TrainOptions, iterations: int) -> TrainOptions:
         iterations=iterations, densify_until=until)
 
 
-def _scaled(options: TrainOptions, factor: float) -> TrainOptions:
+def _scaled(options: Options, factor: float) -> Options:
     """Multiply every step count that is not 0 by a factor; the result is at least 1."""
     counts = {name: getattr(options, name) for name in STEP_COUNTS}
     scaled: dict[str, Any] = {

@@ -8,7 +8,7 @@ from clsplat.schedule.constant import Constant
 from clsplat.schedule.plan import STEPS_A_ROUND
 
 if TYPE_CHECKING:
-    from clsplat.options import TrainOptions
+    from clsplat.options import ScheduledOptions
 
 ROUNDS = 60  # of growth in a run: one every 500 of 30,000 steps
 
@@ -32,7 +32,7 @@ class Taming(Constant):
     rounds_sparing = 27  # in the first rounds, half of the gaussians that 3DGS prunes stay
 
     @classmethod
-    def grows_every(cls, options: "TrainOptions") -> int:
+    def grows_every(cls, options: "ScheduledOptions") -> int:
         """See `Schedule.grows_every`."""
         return max(STEPS_A_ROUND, options.iterations // ROUNDS)
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from clsplat.config.option import AUTO, MOST_STEPS, is_auto
 from clsplat.covisibility.source_views import ViewSpread, view_spread
 from clsplat.device import Device
-from clsplat.options import TrainOptions
+from clsplat.options import RunOptions, ScheduledOptions, TrainOptions
+from clsplat.rendering.options import RenderingOptions
 from clsplat.scene import Scene, View
 from clsplat.schedule import (
     SceneFacts,
@@ -127,13 +128,13 @@ def needed_degree(cap: float) -> int:
     return HIGHEST_DEGREE
 
 
-def is_part_of_city(scene: Scene, options: TrainOptions) -> bool:
+def is_part_of_city(scene: Scene, options: RunOptions) -> bool:
     """Whether this is the training of a coarse run, a block or the merged model, which the city's
     report shows."""
     return options.coarse or scene.exposures is not None or scene.region is not None
 
 
-def _steps(scene: Scene, photos: int, options: TrainOptions, facts: SceneFacts
+def _steps(scene: Scene, photos: int, options: ScheduledOptions, facts: SceneFacts
            ) -> tuple[Decision, int]:
     """(The number of steps before `steps_scale`, the most with it). Parts of a city take as many as
     they are told."""
@@ -144,7 +145,7 @@ def _steps(scene: Scene, photos: int, options: TrainOptions, facts: SceneFacts
     return Decision(steps, reason), min(MOST_STEPS, scaled)
 
 
-def _degree(spread: ViewSpread, options: TrainOptions) -> Decision:
+def _degree(spread: ViewSpread, options: RenderingOptions) -> Decision:
     """The degree of the spherical harmonics."""
     if options.sh_degree == HIGHEST_DEGREE:
         return Decision(HIGHEST_DEGREE, f"{HIGHEST_DEGREE}: all, the default")
@@ -159,7 +160,7 @@ def _degree(spread: ViewSpread, options: TrainOptions) -> Decision:
                     f"{cap:.1f} degrees of their mean direction")
 
 
-def _antialiased(spread: ViewSpread, options: TrainOptions) -> Decision:
+def _antialiased(spread: ViewSpread, options: RenderingOptions) -> Decision:
     """On only if requested; the reason gives the range of scales, on which its benefit depends."""
     value = "on" if options.antialiased else "off"
     ratios = spread.ratio[np.isfinite(spread.ratio)]
@@ -176,7 +177,7 @@ def _small_photos(views: Sequence[View]
     return small, decoded(small)
 
 
-def _engine(facts: SceneFacts, options: TrainOptions, device: Device) -> Decision:
+def _engine(facts: SceneFacts, options: ScheduledOptions, device: Device) -> Decision:
     """The Adam engine: on the device if the largest model fits."""
     if options.engine != AUTO:
         return requested(options.engine)

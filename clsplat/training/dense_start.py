@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.config.option import is_auto
+from clsplat.densify.options import GrowthOptions
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -71,7 +72,7 @@ def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions,
     return "dense", f"dense: {counted}"
 
 
-def planned_count(limit: int | None, pixels: int, options: TrainOptions) -> int:
+def planned_count(limit: int | None, pixels: int, options: GrowthOptions) -> int:
     """How many dense points are wanted.
 
     Parameters

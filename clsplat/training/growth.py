@@ -13,7 +13,7 @@ from clsplat.densify.relocate import plan_relocation
 from clsplat.densify.scores import taming_scores
 from clsplat.densify.select import above_threshold, by_score, half_of, highest
 from clsplat.gaussians import FIELDS
-from clsplat.options import TrainOptions
+from clsplat.options import ScheduledOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Rows
 from clsplat.schedule import Plan, Schedule
@@ -40,7 +40,7 @@ class Round:
     iteration: int
     plan: Plan
     schedule: Schedule
-    options: TrainOptions
+    options: ScheduledOptions
     extent: float
     gradient: Callable[[], NDArray[np.floating]]
     frozen: NDArray[np.bool_]

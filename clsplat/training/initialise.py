@@ -12,7 +12,9 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.formats import count_of, is_model, read_model
 from clsplat.io.models.quantise import morton_order
+from clsplat.io.scenes.options import SceneOptions
 from clsplat.options import TrainOptions
+from clsplat.rendering.options import RenderingOptions
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of
 
@@ -70,7 +72,7 @@ def initial_gaussians(scene: Scene, options: TrainOptions,
     return gaussians
 
 
-def planned_initial(facts: SceneFacts, options: TrainOptions) -> SceneFacts:
+def planned_initial(facts: SceneFacts, options: SceneOptions) -> SceneFacts:
     """The facts with the number of gaussians in the file at which training begins, if it does.
 
     Parameters
@@ -84,7 +86,7 @@ def planned_initial(facts: SceneFacts, options: TrainOptions) -> SceneFacts:
     return replace(facts, count=count_of(options.init))
 
 
-def surrounding_gaussians(scene: Scene, options: TrainOptions) -> Gaussians | None:
+def surrounding_gaussians(scene: Scene, options: RenderingOptions) -> Gaussians | None:
     """The gaussians around a block that its views show as layers; None: there are none."""
     if scene.surroundings is None:
         return None

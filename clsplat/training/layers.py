@@ -26,7 +26,7 @@ from clsplat.rendering.slabs import Parts, open_model
 from clsplat.scene import Scene, View
 
 if TYPE_CHECKING:
-    from clsplat.options import TrainOptions
+    from clsplat.rendering.options import RenderingOptions
 
 LOOKED_AT = 4096  # gaussians at a time, until one is found that a view shows
 HIDDEN = -100.0  # opacity logit of gaussians that are not drawn
@@ -54,7 +54,7 @@ class Layers:
     """
 
     def __init__(self, device: Device, scene: Scene, surroundings: Gaussians, near: float,
-                 options: TrainOptions) -> None:
+                 options: RenderingOptions) -> None:
         self.device, self.resident = device, True
         self._draw: Callable[[Sequence[View]], Iterator[Planes]] = lambda views: drawn_layers(
             device, scene, surroundings, views, near, options)
@@ -170,7 +170,7 @@ def compared_bytes(scene: Scene, surroundings: Gaussians, sh_degree: int, expose
 
 
 def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, views: Sequence[View],
-                 near: float, options: TrainOptions) -> Iterator[Planes]:
+                 near: float, options: RenderingOptions) -> Iterator[Planes]:
     """Draw what each view shows of the surroundings of a block.
 
     All of them are on the device meanwhile; those on the other side are transparent.

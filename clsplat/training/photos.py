@@ -15,7 +15,7 @@ from clsplat.device import Array, ArraySpec, Device
 from clsplat.io.ahead import called_ahead
 from clsplat.io.photos.resample import BAND_BYTES
 from clsplat.io.photos.views import photo_bands, read_valid
-from clsplat.options import TrainOptions
+from clsplat.io.scenes.options import SceneOptions
 from clsplat.scene import View
 from clsplat.training.parts.outlier_masks import Cells, resampled, spread
 from clsplat.training.photo_store import MEMORY_BYTES, PhotoStore
@@ -100,7 +100,7 @@ def reading_bytes(views: Sequence[View]) -> int:
             + 2 * MEMORY_BYTES)
 
 
-def size_note(views: Sequence[View], options: TrainOptions) -> str | None:
+def size_note(views: Sequence[View], options: SceneOptions) -> str | None:
     """A message for the user if --max-resolution makes photos smaller, or None.
 
     A reduction by -r is not mentioned.

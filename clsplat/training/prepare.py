@@ -9,7 +9,7 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.photos.depth import with_depths
-from clsplat.options import TrainOptions
+from clsplat.options import ScheduledOptions, TrainOptions
 from clsplat.partition.blocks import trainable
 from clsplat.scene import Scene, View
 from clsplat.schedule import Schedule, schedule_of
@@ -49,7 +49,7 @@ class PreparedScene:
         """What a block draws as layers, in the scene's frame; None: nothing."""
         return surrounding_gaussians(self.scene, self.options)
 
-    def schedule(self, gaussians: Gaussians, options: TrainOptions | None = None) -> Schedule:
+    def schedule(self, gaussians: Gaussians, options: ScheduledOptions | None = None) -> Schedule:
         """A new schedule.
 
         Parameters

@@ -21,7 +21,7 @@ from clsplat.gaussians import LEARNED
 from clsplat.loss.image_loss import is_masked
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.rates import learning_rates
-from clsplat.options import TrainOptions
+from clsplat.options import ScheduledOptions
 from clsplat.rendering.pipeline import Gradients, Renderer, Room
 from clsplat.schedule import Plan, Schedule
 from clsplat.training.growth import Round, ScoringViews
@@ -75,7 +75,7 @@ class Step:
     units : the steps that are not known to be done.
     """
 
-    def __init__(self, renderer: Renderer, model: Model, extent: float, options: TrainOptions,
+    def __init__(self, renderer: Renderer, model: Model, extent: float, options: ScheduledOptions,
                  parts: Sequence[Part]) -> None:
         self.renderer, self._model, self.extent, self.options = renderer, model, extent, options
         self.device, self.parts = renderer.device, parts

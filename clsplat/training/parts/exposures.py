@@ -18,7 +18,6 @@ from clsplat.training.part import Decision, Inputs, Part, State, Survey, ViewPas
 
 if TYPE_CHECKING:
     from clsplat.io.runs.run import RunFolder
-    from clsplat.options import TrainOptions
     from clsplat.scene import Scene, View
     from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
@@ -102,7 +101,7 @@ def initial_responses(scene: Scene, views: Iterable[View]) -> list[Response] | N
     return [scene.exposures.get(view.name, Response()) for view in views]
 
 
-def lenses_of(scene: Scene, views: Sequence[View], options: TrainOptions) -> Lenses | None:
+def lenses_of(scene: Scene, views: Sequence[View], options: ExposureOptions) -> Lenses | None:
     """The lenses of the training views; None if nothing is learned of them."""
     if options.vignetting != "on":
         return None
