@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from clsplat.api.device import Device as Device
     from clsplat.api.gaussians import Gaussians as Gaussians
     from clsplat.api.options import TrainOptions as TrainOptions
+    from clsplat.api.plan import Forecast as Forecast
+    from clsplat.api.plan import plan as plan
     from clsplat.api.renderer import Frame as Frame
     from clsplat.api.renderer import Renderer as Renderer
     from clsplat.api.renderer import render as render
@@ -35,20 +37,21 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Camera": "clsplat.camera", "ClsplatError": "clsplat.errors", "Device": "clsplat.api.device",
-    "Frame": "clsplat.api.renderer", "Gaussians": "clsplat.api.gaussians",
-    "Georeference": "clsplat.georeference", "Part": "clsplat.training.part",
-    "Plan": "clsplat.schedule.plan", "Renderer": "clsplat.api.renderer", "Run": "clsplat.api.run",
-    "Scene": "clsplat.api.scene", "Schedule": "clsplat.schedule.plan",
-    "Score": "clsplat.api.score", "StopTraining": "clsplat.errors",
-    "TrainOptions": "clsplat.api.options", "Trainer": "clsplat.api.trainer",
-    "TrainingStep": "clsplat.api.trainer", "View": "clsplat.api.scene",
-    "evaluate": "clsplat.api.score", "option": "clsplat.config.option",
+    "Forecast": "clsplat.api.plan", "Frame": "clsplat.api.renderer",
+    "Gaussians": "clsplat.api.gaussians", "Georeference": "clsplat.georeference",
+    "Part": "clsplat.training.part", "Plan": "clsplat.schedule.plan",
+    "Renderer": "clsplat.api.renderer", "Run": "clsplat.api.run", "Scene": "clsplat.api.scene",
+    "Schedule": "clsplat.schedule.plan", "Score": "clsplat.api.score",
+    "StopTraining": "clsplat.errors", "TrainOptions": "clsplat.api.options",
+    "Trainer": "clsplat.api.trainer", "TrainingStep": "clsplat.api.trainer",
+    "View": "clsplat.api.scene", "evaluate": "clsplat.api.score",
+    "option": "clsplat.config.option", "plan": "clsplat.api.plan",
     "render": "clsplat.api.renderer", "train": "clsplat.api.train"}
 
-__all__ = ["Camera", "ClsplatError", "Device", "Frame", "Gaussians", "Georeference", "Part",
-           "Plan", "Renderer", "Run", "Scene", "Schedule", "Score", "StopTraining",
-           "TrainOptions", "Trainer", "TrainingStep", "View", "evaluate", "option", "render",
-           "train"]
+__all__ = ["Camera", "ClsplatError", "Device", "Forecast", "Frame", "Gaussians", "Georeference",
+           "Part", "Plan", "Renderer", "Run", "Scene", "Schedule", "Score", "StopTraining",
+           "TrainOptions", "Trainer", "TrainingStep", "View", "evaluate", "option", "plan",
+           "render", "train"]
 
 
 def __getattr__(name: str) -> object:

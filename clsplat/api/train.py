@@ -6,7 +6,7 @@ from typing import Any
 
 from clsplat.api.options import TrainOptions
 from clsplat.api.run import Run
-from clsplat.api.trainer import opened_training
+from clsplat.api.trainer import folder_of, opened_training
 from clsplat.device import Device
 from clsplat.errors import Interrupted
 from clsplat.io.runs.run import RunFolder
@@ -40,7 +40,8 @@ def train(scene: Scene | str | PathLike[str], options: TrainOptions | None = Non
     ------
     clsplat.ClsplatError : if the scene, an option or the folder cannot be used.
     """
-    data, chosen, opened, folder = opened_training(scene, options, output, device, schedule)
+    data, chosen, opened = opened_training(scene, options, device, schedule)
+    folder = folder_of(output)
     with RunFolder(folder).locked():
         run = RunFolder.create(folder, overwrite=overwrite)
         try:

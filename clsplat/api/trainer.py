@@ -59,7 +59,8 @@ class Trainer:
                  output: str | PathLike[str] | None = None, device: Device | None = None,
                  parts: Iterable[Part] = (), schedule: type[Schedule] | None = None,
                  overwrite: bool = False) -> None:
-        data, chosen, opened, folder = opened_training(scene, options, output, device, schedule)
+        data, chosen, opened = opened_training(scene, options, device, schedule)
+        folder = folder_of(output)
         with ExitStack() as opening:
             opening.enter_context(RunFolder(folder).locked())
             run = RunFolder.create(folder, overwrite=overwrite)
@@ -190,11 +191,16 @@ class TrainingStep:
 
 
 def opened_training(scene: Scene | str | PathLike[str], options: TrainOptions | None,
-                    output: str | PathLike[str] | None, device: Device | None,
-                    schedule: type[Schedule] | None) -> tuple[Scene, Any, Device, Path]:
-    """The scene, the resolved options, the device and the folder; arguments as for Trainer."""
+                    device: Device | None, schedule: type[Schedule] | None
+                    ) -> tuple[Scene, Any, Device]:
+    """The scene, the resolved options and the open device; arguments as for Trainer."""
     chosen = resolved(options, schedule)
     data = scene if isinstance(scene, Scene) else read_scene(Path(scene).absolute(), chosen.images)
     opened = opened_device(device) if device else choose_device(chosen.device, form=chosen.form)
-    # absolute, as the program may change the current folder
-    return data, chosen, opened, Path(output or mkdtemp(prefix="clsplat-run-")).absolute()
+    return data, chosen, opened
+
+
+def folder_of(output: str | PathLike[str] | None) -> Path:
+    """The folder of a result, absolute, as the program may change the current one; None: a new one
+    in the folder for temporary files."""
+    return Path(output or mkdtemp(prefix="clsplat-run-")).absolute()

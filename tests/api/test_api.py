@@ -284,6 +284,15 @@ def test_objects_show_themselves_in_notebooks(run, scene, item_device):
     assert "data:image/jpeg" in scene.views[0]._repr_html_()
 
 
+@pytest.mark.slow
+def test_a_plan_is_that_of_the_training(run, scene, item_device):
+    forecast = clsplat.plan(scene, SMALL, device=item_device)
+    assert forecast.steps == 40 and 0 < forecast.seconds < 600
+    record = run.metrics[-1]
+    assert forecast.gaussians == record["gaussians"] and 2e6 < forecast.memory_bytes < 1e9
+    assert "requested" in forecast.reasons["exposure"] and "40" in forecast._repr_html_()
+
+
 def test_what_public_objects_make_is_public(run, scene):
     """So that its pixels can be read, and it can be saved and shown."""
     for made in (scene, scene.reduced(2), scene.part([0, 3]).normalised(), run.scene()):
