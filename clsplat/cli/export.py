@@ -56,9 +56,8 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
     from clsplat.edit.select import selected
     from clsplat.evaluation.run import Run
     from clsplat.export.page import write_run_page
-    from clsplat.export.prune import alive, photos_of, supported
+    from clsplat.export.prune import alive, photos_of, supported, write_run_model
     from clsplat.export.tiles import write_run_tiles
-    from clsplat.export.upright import write_run_model
     is_page, is_folder = output.suffix.lower() == ".html", not output.suffix
     has_harmonics = _check_format(output, is_page or is_folder, upright, plain_tiles)
     if everything and not is_page:

@@ -73,10 +73,8 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
-    from clsplat.export.map import FILES, POINTS, write_map
-    from clsplat.export.map_grid import map_grid
-    from clsplat.export.reprojection import reprojection_of
-    from clsplat.export.statement import sentences
+    from clsplat.export.map import FILES, POINTS, sentences, write_map
+    from clsplat.export.map_grid import map_grid, reprojection_of
     from clsplat.io.models.las import laspy_for
     for name in FILES:
         check_free(output / name, overwrite)

@@ -1,7 +1,9 @@
-"""The map of a run: orthophoto and surface as GeoTIFF, contour lines, points and pictures."""
+"""The map of a run: orthophoto and surface as GeoTIFF, contour lines, points and pictures, and a
+statement of how exact it is."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -21,19 +23,18 @@ from clsplat.export.contours import (
     contour_lines,
     write_contours,
 )
-from clsplat.export.extent import Extent, extent_of
 from clsplat.export.geotiff import Raster, bounded_memory, check_crs
-from clsplat.export.map_grid import TILE, MapGrid, ground_resolution
-from clsplat.export.orthophoto import MapPainter, halved_pixels
+from clsplat.export.map_grid import TILE, MapGrid, Reprojection, ground_resolution
+from clsplat.export.orthophoto import Extent, MapPainter, extent_of, halved_pixels
 from clsplat.export.pits import MARGIN, filled, pits
-from clsplat.export.preview import preview
-from clsplat.export.reprojection import Reprojection
-from clsplat.export.statement import stated, tags_of
-from clsplat.export.surface import MOST_POINTS, write_surface
+from clsplat.export.surface import MOST_POINTS, preview, write_surface
+from clsplat.georeference import AXES, CHECK, CONTROL, Georeference
 from clsplat.io.folders import make_folder
-from clsplat.io.georeference.crs import WGS84
+from clsplat.io.georeference.crs import WGS84, heights_of
 from clsplat.io.photos.images import write_image
 from clsplat.io.records import write_object
+from clsplat.partition.region import map_axes
+from clsplat.placement.plausible import recorded_doubts
 from clsplat.scene import Scene
 
 ORTHOPHOTO, SURFACE, POINTS = "orthophoto.tif", "surface.tif", "surface.laz"
@@ -49,6 +50,7 @@ EMPTY = (np.zeros((TILE, TILE, 4), np.uint8), np.full((TILE, TILE, 2), np.nan, n
 
 Count = Callable[[str, int, int], object]  # (what, done, total)
 Phase = Callable[[str], object]
+ROLES = (CHECK, CONTROL)
 
 
 def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: Device,
@@ -225,3 +227,43 @@ def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: 
 
     digits = DEGREE_DIGITS if to_wgs84 else max(0, math.ceil(1 - math.log10(size)))
     write_contours(path, lines, to_place, digits)
+
+
+def stated(scene: Scene, crs: str | None, place: Georeference | None) -> dict[str, Any]:
+    """What is known of a map's exactness, for RECORD: the ground sampling distance of the photos,
+    the vertical reference, and the georeference with its residuals, metres."""
+    result: dict[str, Any] = {"ground_sampling_distance": ground_resolution(scene)}
+    if place is None or crs is None:
+        return result
+    errors = {role: {axis: error.rms for axis, error in place.errors(role).items()}
+              for role in ROLES}
+    flight = scene.unit * float(np.linalg.norm(np.ptp(
+        [view.camera.position @ map_axes(scene.up).T for view in scene.views], axis=0)))
+    return {**result,
+            "vertical_reference": place.vertical or heights_of(place.crs).name or "unknown",
+            "georeference": {"source": place.source, "residual": place.residual,
+                             "residuals_rms": {role: axes for role, axes in errors.items() if axes},
+                             "warnings": list(recorded_doubts(place, flight))}}
+
+
+def tags_of(statement: dict[str, Any]) -> dict[str, str]:
+    """The tags of a GeoTIFF, in GDAL's metadata."""
+    return {"TIFFTAG_SOFTWARE": "clsplat",
+            **{name.upper(): value if isinstance(value, str) else json.dumps(value)
+               for name, value in statement.items()}}
+
+
+def sentences(statement: dict[str, Any], unit: str) -> list[str]:
+    """What `clsplat map` prints of it."""
+    lines = [f"ground sampling distance of the photos {statement['ground_sampling_distance']:g} "
+             f"{unit}"]
+    place = statement.get("georeference")
+    if place:
+        lines[0] += f"; heights: {statement['vertical_reference']}"
+        lines.append(f"georeference: {place['source'] or 'unknown source'}, residual "
+                     f"{place['residual']:.2f} m along the ground")
+        for role, axes in place["residuals_rms"].items():
+            lines.append(f"{role} RMS: " + ", ".join(
+                f"{axis} {axes[axis]:.2f} m" for axis in AXES if axis in axes))
+        lines += [f"warning: {text}" for text in place["warnings"]]
+    return lines

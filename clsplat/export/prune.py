@@ -8,19 +8,23 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from clsplat.camera import Camera
 from clsplat.constants import ALPHA_STEPS
 from clsplat.device import Device
+from clsplat.edit.transform import transformed
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_views
 from clsplat.export.orthophoto import LEAST_VIEWS, shown_by
 from clsplat.gaussians import Gaussians
-from clsplat.io.models.values import opacities
+from clsplat.io.models.formats import write_model
+from clsplat.io.models.values import mode_comment, opacities
 from clsplat.scene import Scene
 
 log = logging.getLogger(__name__)
+VIEWERS_UP = np.array([0.0, -1.0, 0.0])  # of SuperSplat and others, in the axes of a PLY
 
 
 def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
@@ -104,3 +108,25 @@ def needed_sh_degree(run: Run, device: Device, cost: float, scene_path: Path | N
               for degree in range(highest + 1)]
     enough = [degree for degree, score in enumerate(scores) if scores[-1] - score < cost]
     return min(enough, default=highest), scores
+
+
+def write_run_model(path: Path, run: Run, gaussians: Gaussians, upright: bool = False) -> None:
+    """Write gaussians of a run in the format of a suffix, with what the run knows about them.
+
+    Parameters
+    ----------
+    path : as for `models.write_model`.
+    gaussians : in original coordinates.
+    upright : turn them so that up is -y.
+
+    Raises
+    ------
+    InputError : it is not known what is up, or the file cannot be written.
+    """
+    comments = (mode_comment(run.options.antialiased),)
+    if upright:
+        turn, _ = Rotation.align_vectors([VIEWERS_UP], [run.up])
+        turned = transformed(gaussians, rotation=turn.as_matrix())
+        write_model(path, turned, comments, VIEWERS_UP)
+        return
+    write_model(path, gaussians, comments, run.known_up, run.georeference)

@@ -1,4 +1,4 @@
-"""The surface of a map for the eye, and as points in a LAS or LAZ file."""
+"""The surface of a map for the eye, in a preview with the orthophoto, and as points in a file."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from clsplat.export.contours import smoothed
 from clsplat.export.geotiff import Raster
 from clsplat.io.models.las import Part, write_points
+from clsplat.report.map_legend import map_legend
 
 MOST_POINTS = 10_000_000  # of a LAZ file; a larger map gives a point to several pixels
 FINENESS = 100  # coordinates are stored as multiples of about this part of a pixel
 SUN = np.array([-1.0, 1.0, 1.4])  # east, north, up: from the north-west, as maps are shaded
 # colours of the lowest, of the middle and of the highest ground
 TINTS = np.array([[0.36, 0.55, 0.42], [0.87, 0.82, 0.62], [0.93, 0.91, 0.90]])
+SIDE = 1400  # pixels, the longer side of each picture
 
 
 def usual_heights(heights: NDArray[np.floating]) -> tuple[float, float]:
@@ -92,3 +94,27 @@ def _points(heights: NDArray[np.floating], colours: NDArray[np.uint8], left: flo
     points = np.column_stack([left + (columns + 0.5) * size, top - (rows + 0.5) * size,
                               heights[rows, columns]])
     return points, colours[rows, columns, :3] / 255, np.zeros(len(points))
+
+
+def preview(colours: Raster, surface: Raster, interval: float, crs: str | None
+            ) -> NDArray[np.float32]:
+    """A picture float32[H, W, 3], 0 to 1: orthophoto and shaded surface with contour lines on
+    white, with a scale of lengths and one of heights below.
+
+    Parameters
+    ----------
+    colours, surface : rasters of the map.
+    interval : between contour lines, map units; 0: none.
+    crs : of the map; None: lengths are scene units.
+    """
+    level = surface.level(SIDE)
+    pixels = colours.whole(level).astype(np.float32) / 255
+    left = pixels[..., :3] * pixels[..., 3:] + 1 - pixels[..., 3:]
+    heights = surface.whole(level)[..., 0]
+    size = surface.grid.resolution * 2**level
+    gap = np.ones((len(left), max(4, left.shape[1] // 50), 3), np.float32)
+    pictures = np.concatenate([left, gap, shaded(heights, size, interval)], axis=1)
+    legend = map_legend(pictures.shape[1], left.shape[1], size, usual_heights(heights), TINTS,
+                        interval, *(("m", "north is up") if crs else ("scene units", "")))
+    picture: NDArray[np.float32] = np.concatenate([pictures, legend], axis=0)
+    return picture

@@ -15,8 +15,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.export import map as module
 from clsplat.export.map import write_map
-from clsplat.export.map_grid import ground_resolution, map_grid
-from clsplat.export.reprojection import Reprojection, reprojection_of
+from clsplat.export.map_grid import Reprojection, ground_resolution, map_grid, reprojection_of
 from clsplat.options import TrainOptions
 from tests.data import ground_model as made
 

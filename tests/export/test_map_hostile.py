@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.evaluation.run import Run
-from clsplat.export.statement import stated
+from clsplat.export.map import stated
 from clsplat.georeference import Residual
 from tests.data import ground_model as made
 from tests.export.test_map import run_of
