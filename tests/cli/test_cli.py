@@ -17,7 +17,6 @@ import clsplat
 from clsplat.cli.devices import table
 from clsplat.cli.evaluate import summary
 from clsplat.cli.main import main
-from clsplat.cli.progress import Progress
 from clsplat.cli.train import resumed_options
 from clsplat.errors import ClsplatError, DeviceError, Interrupted
 from clsplat.gaussians import Gaussians
@@ -321,17 +320,6 @@ def test_the_device_table_explains_devices_that_do_not_work():
     assert "3.0 GiB memory" in lines[5] and lines[5].endswith("OpenCL C 1.2, double")
 
 
-@pytest.mark.parametrize("found, code", [([], 2), ([entry(0, False)], 2),
-                                         ([entry(0, False), entry(1, True)], 0)])
-def test_devices_says_whether_one_works(monkeypatch, found, code):
-    module(monkeypatch, "clsplat.device", list_devices=lambda: found)
-    result = clsplat_("devices")
-    assert result.exit_code == code
-    if code:
-        last = result.output.splitlines()[-1]
-        assert last.startswith("error: no working OpenCL device") and "intel-opencl-rt" in last
-
-
 @pytest.mark.parametrize("passed, code", [(True, 0), (False, 2)])
 def test_devices_check_runs_on_each_that_works(monkeypatch, passed, code):
     opened = []
@@ -343,47 +331,3 @@ def test_devices_check_runs_on_each_that_works(monkeypatch, passed, code):
     assert (opened, result.exit_code) == ([0, 2], code)
     assert ("FAILED  blend: 3e-7 off" in result.output) is not passed
     assert ("error: the self-test failed on name 0; update" in result.output) is not passed
-
-
-def test_bench_lists_and_calls(monkeypatch):
-    module(monkeypatch, "clsplat.bench", families=lambda: ["blend"],
-           run=lambda family, argv: print(f"timed {family}", argv))
-    assert clsplat_("bench").output == "blend\n"
-    result = clsplat_("bench", "blend", "--json", "--device", "cpu", "--size", 4)
-    assert result.output == "timed blend ['--json', '--device', 'cpu', '--size', '4']\n"
-    assert clsplat_("bench", "blond").exit_code == 2
-
-
-TOLD = {"loss": 0.25, "gaussians": 12345, "memory_bytes": 3 << 20, "level": 2.5}
-
-
-def logged(tmp_path, iterations, totals, stop_at=0):
-    """The lines of a log of these iterations."""
-    with open(tmp_path / "log", "w") as log, Progress(stop_at, log) as progress:
-        for iteration, total in zip(iterations, totals):
-            progress(iteration=iteration, total=total, **TOLD)
-        progress.message("evaluated")
-    lines = (tmp_path / "log").read_text().splitlines()
-    assert "evaluated" in lines and not any("\r" in line for line in lines)
-    return lines
-
-
-def test_progress_in_a_log(tmp_path):
-    lines = logged(tmp_path, (0, 50, 100), (100, 100, 100))
-    assert sum("100/100" in line for line in lines) == 1
-    last = next(line for line in lines if "100/100" in line)
-    for part in ("it/s", "loss 0.2500", "at 1/2.5 size", "12,345 gaussians", "3 MiB"):
-        assert part in last
-
-
-@pytest.mark.parametrize("stop_at, totals, last", [
-    (60, (100, 100), "50/60"), (0, (30_000, 80), "50/80"), (90, (30_000, 80), "50/80")])
-def test_progress_counts_to_where_the_run_ends(tmp_path, stop_at, totals, last):
-    """At a stop before the end, or at an end that a time budget moves."""
-    assert any(f", {last}, " in line for line in logged(tmp_path, (1, 50), totals, stop_at))
-
-
-def test_progress_never_called_prints_nothing(tmp_path):
-    with open(tmp_path / "log", "w") as log, Progress(file=log):
-        pass
-    assert (tmp_path / "log").read_text() == ""

@@ -12,7 +12,6 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from clsplat.cli.main import main, verdict
 from clsplat.cli.train import ending
 from clsplat.io.runs.run import RunFolder
 from tests.cli.test_cli import python, raising
@@ -61,16 +60,6 @@ def test_a_training_ends_with_what_can_be_done(name, shown, page, tmp_path, monk
     assert page.strip("'") == f"{Path(name).name}.html"
 
 
-@pytest.mark.parametrize("arguments, kept", [
-    (("train", "photos"), True), (("--traceback", "sfm"), True), (("city",), True),
-    (("plan", "train"), False), (("export",), False), ((), False), (("nothing",), False)])
-def test_an_interrupt_promises_no_more_than_was_saved(arguments, kept):
-    """Trial of f3a1525: `plan`, which saves nothing, said that what was saved is kept."""
-    message, code = verdict(KeyboardInterrupt(), 0, main._keeps(list(arguments)))
-    assert code == 130 and ("what was saved is kept" in message) is kept
-    assert message.endswith(": give the same command again")
-
-
 @pytest.mark.parametrize("name", ["verdict", "say"])
 def test_a_second_ctrl_c_while_the_first_one_is_told(name):
     result = python(
@@ -85,15 +74,6 @@ def test_a_second_ctrl_c_while_the_first_one_is_told(name):
     assert result.returncode == 130 and "Traceback" not in result.stderr
     told = result.stderr.strip()  # click begins a new line after ^C
     assert told == "interrupted: give the same command again"
-
-
-def test_ctrl_c_that_no_handler_of_the_command_took():
-    """In the few instructions before the command's own handling: no traceback either."""
-    result = python("-c", "import clsplat.__main__ as entry, clsplat.cli.main as cli\n"
-                    "def interrupted(**_): raise KeyboardInterrupt\n"
-                    "cli.main = interrupted\nentry.run()")
-    assert (result.returncode, result.stderr) == (
-        130, "interrupted: give the same command again\n")
 
 
 def test_ctrl_c_while_the_program_starts():

@@ -136,25 +136,11 @@ def test_what_stays_and_what_is_cloned_does_not_change():
         assert np.array_equal(after[name][:5], values[[0, 1, 3, 7, 1]]), name
 
 
-def test_the_generator_decides_places_and_nothing_else():
-    kinds = [values for _, values, _ in KINDS]
-    first, again, other = (grown(kinds, seed=seed)[0] for seed in (5, 5, 6))
-    assert np.array_equal(first.changes["positions"][1], again.changes["positions"][1])
-    assert np.array_equal(first.source, other.source)
-    assert (first.changes["positions"][1] != other.changes["positions"][1]).all()
-
-
 def test_pruning_one_split_does_not_move_the_children_of_another():
     kinds = [(LARGE, SOLID, MOVING)] * 3
     faint = [kinds[0], (LARGE, FAINT, MOVING), kinds[2]]
     whole, less = (grown(given)[0].changes["positions"][1] for given in (kinds, faint))
     assert np.array_equal(less, whole[[0, 1, 4, 5]])
-
-
-def test_all_may_be_pruned():
-    growth, rows = grown([(SMALL, FAINT, STILL)] * 4)
-    assert (len(growth.source), growth.kept, growth.pruned) == (0, 0, 4)
-    assert applied(growth, rows)["positions"].shape == (0, 3)
 
 
 # --- spheres
@@ -228,8 +214,3 @@ def test_a_child_outside_the_shrunken_sphere_is_dropped_at_once():
     assert (growth.split, growth.pruned) == ((both > 0).sum(), (both == 0).sum())
     released = growth_of(rows, [MOVING] * count, sphere_rule="release", **settings)
     assert len(released.source) == 2 * count
-
-
-def test_without_spheres_none_are_made():
-    growth, _ = grown([values for _, values, _ in KINDS])
-    assert set(growth.changes) == {"positions", "log_scales"}

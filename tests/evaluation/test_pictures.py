@@ -10,7 +10,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.evaluation import views
 from clsplat.evaluation.error_map import COLOURS, LARGEST_ERROR, error_map
-from clsplat.evaluation.pictures import MOST_PIXELS, Pictures, chosen_views, shown_view
+from clsplat.evaluation.pictures import Pictures, chosen_views, shown_view
 from clsplat.io.photos.images import read_image
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.page import Table
@@ -100,15 +100,6 @@ def test_the_error_map_has_a_scale_that_is_even():
     assert abs(error_map(ramp, 0 * ramp)[0] - inferno).max() < 10
 
 
-def test_a_shown_view_is_small_and_whole():
-    view = shown_view("best", *scored("a", 20.0, (1400, 700)))
-    shapes = {view.photo.shape, view.render.shape, view.error.shape}
-    assert shapes == {(MOST_PIXELS // 2, MOST_PIXELS, 3)}
-    assert view.photo.dtype == np.uint8 and abs(view.photo.mean() - 127.5) < 1
-    small = shown_view("best", *scored("a", 20.0))
-    assert small.photo.shape == (6, 8, 3)  # never enlarged: the page does that
-
-
 def test_a_report_begins_with_pictures(run):
     html = write_report(run, pictures=pictures(names=("a<b.jpg", "b.jpg", "c.jpg"))).read_text()
     assert Balanced(html).pictures == 9
@@ -123,15 +114,6 @@ def test_a_report_begins_with_pictures(run):
     data = re.search(r'alt="error of c.jpg".*?base64,([^"]+)"', html)[1]
     seen = read_image(base64.b64decode(data)).reshape(-1, 3).mean(0)
     assert abs(seen - shown_view("best", *scored("c", 20.0)).error.reshape(-1, 3).mean(0)).max() < 9
-
-
-def test_pictures_of_training_views_are_called_so(run):
-    html = write_report(run, pictures=pictures(held_out=False)).read_text()
-    assert headings(html)[0] == "Training views" and "No view is held out" in html
-    assert "chosen from 7" in html
-    surrogate = pictures(names=("b\udcfe.jpg", "b", "c"))  # the name of a photo that is no text
-    assert "b\\udcfe.jpg" in write_report(run, pictures=surrogate).read_text()
-    assert "Training views" not in write_report(run, pictures=Pictures([], False, 0)).read_text()
 
 
 def test_pictures_are_renewed_and_the_rest_stays(run):
@@ -157,12 +139,3 @@ def test_scores_are_renewed_too(run):
     (run.path / "metrics.jsonl").unlink()
     run.add_scores({"flip": 0.5})
     assert not run.has_metrics
-
-
-def test_pictures_that_cannot_be_encoded_cost_no_page(run, monkeypatch):
-    def fails(*_):
-        raise MemoryError("no room")
-
-    monkeypatch.setattr("clsplat.report.pictures.encode_jpeg", fails)
-    html = write_report(run, pictures=pictures()).read_text()
-    assert "Pictures could not be made (no room)" in html and "PSNR cc" in html

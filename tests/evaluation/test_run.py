@@ -18,7 +18,6 @@ from clsplat.evaluation.run import to_render
 from clsplat.evaluation.views import evaluate_run, photo_of, render_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.formats import write_model
-from clsplat.io.models.ply import write_ply
 from clsplat.io.photos.images import read_image
 from clsplat.io.runs.learned import write_poses
 from clsplat.io.runs.run import RunFolder
@@ -126,14 +125,6 @@ def test_scores_from_aligned_poses_stand_beside_the_others(run, item_device):
     assert "aligned" not in summary(evaluate_run(run, item_device, save_images=False))
 
 
-def test_a_run_goes_on_without_what_it_was_begun_before(run):
-    record = run.record
-    del record["vignetting"]
-    record["tone"] = "off"
-    run.folder.write_options(record)
-    assert run.options == resolve({}, {**OPTIONS, "vignetting": "off"})
-
-
 def test_a_run_with_an_option_that_was_removed_is_refused(run):
     record = run.record
     run.folder.write_options({**record, "tone": "on"})
@@ -161,12 +152,6 @@ def test_a_run_is_rendered_by_the_cameras_of_any_scene(run, scene, tmp_path, mon
     model = run.finished_model
     assert np.allclose(gaussians.positions + gaussians.offset, model.positions + model.offset,
                        atol=1e-4)
-
-
-def test_the_near_plane_is_asked_for_in_the_units_of_the_original(scene):
-    unit = scene.normalised()
-    assert scene.near(0) == scene.near_plane and scene.near(2.0) == 2.0
-    assert unit.near(0) == unit.near_plane and unit.near(2.0) == pytest.approx(2 / scene.extent)
 
 
 def test_a_renderer_draws_as_the_run_was_trained(run, scene, item_device):
@@ -210,15 +195,3 @@ def test_pictures_of_a_run_and_of_its_model(run, tmp_path, scene, item_device):
     write_model(tmp_path / "mip.spz", run.finished_model, ("SplatRenderMode: mip",))
     assert to_render(tmp_path / "mip.spz", CITY)[2].antialiased
     assert shown.views[0].camera.width == scene.views[0].camera.width and options.near == 0
-
-
-def test_nothing_to_show_or_not_finished(run, tmp_path, item_device):
-    rows = {name: values[:0] for name, values in run.finished_model.rows.items()}
-    write_ply(run.folder.model_path, Gaussians(rows, 1))
-    with pytest.raises(InputError, match="run: holds no gaussians"):
-        run.opened(item_device, run.scene())
-    run.folder.model_path.unlink()
-    with pytest.raises(InputError, match="the run has no model yet; finish it with --resume"):
-        run.opened(item_device, run.scene())
-    with pytest.raises(InputError, match="holds no run"):
-        Run.open(tmp_path)

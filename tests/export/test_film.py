@@ -1,22 +1,16 @@
 """Films and their camera paths."""
 
-import errno
 import json
-from fractions import Fraction
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from clsplat.camera import Camera
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
-from clsplat.export import film
 from clsplat.export.camera_path import (
-    Keys,
-    film_degrees,
     flight,
     interpolated,
     read_camera_path,
@@ -49,18 +43,6 @@ def test_a_flight_passes_near_the_photos_without_jumps():
         assert camera.rotation[2] @ (0, 0, -1) > 0.99  # looks down, as the photos do
 
 
-def test_turns_are_smooth():
-    """A quarter of a turn of the photos, half of them with the quaternion's other sign."""
-    angles = np.radians([0, 40, 80, 120, 160, 200, 240])
-    rotations = np.array([Camera.looking_at((np.cos(a), np.sin(a), -0.5), (0, 0, 0)).rotation
-                          for a in angles])
-    cameras = cameras_of(Keys(np.linspace(0, 1, 7), np.zeros((7, 3)), rotations), 121)
-    turns = [np.arccos((np.trace(b.rotation @ a.rotation.T) - 1) / 2)
-             for a, b in zip(cameras, cameras[1:])]
-    assert np.allclose(turns, np.mean(turns), rtol=0.2)
-    assert np.allclose(cameras[20].rotation, rotations[1])
-
-
 def test_a_turntable_looks_at_the_middle_from_all_sides():
     scene = made.scene(None)
     middle = np.median(scene.points, axis=0) + made.OFFSET
@@ -74,10 +56,6 @@ def test_a_turntable_looks_at_the_middle_from_all_sides():
         pixel, depth = camera.project(middle[None])
         assert depth[0] > 0 and abs(pixel[0] - np.array(SIZE) / 2).max() < 1
         assert camera.rotation[1] @ (0, 0, 1) < -0.5  # upright
-
-
-def test_the_angle_of_view_is_that_of_the_photos():
-    assert film_degrees(made.scene(None)) == pytest.approx(60)
 
 
 def camera_path(tmp_path, *frames, **more):
@@ -194,56 +172,6 @@ def test_a_gif(tmp_path, command):
     assert abs(pictures[2] - expected).mean() < 8  # 64 colours
 
 
-def test_the_usual_size_of_a_film(tmp_path, command, monkeypatch):
-    pytest.importorskip("av", reason="av is not installed (extra film)")
-    sizes = []
-    monkeypatch.setattr("clsplat.export.film.write_film",
-                        lambda path, pictures, size, rate, shown: sizes.append((size, rate)))
-    monkeypatch.setattr("clsplat.export.film.frames", lambda *_: ())
-    for name in ("film.gif", "film.mp4"):
-        assert CliRunner().invoke(main, ["film", "run", "-o", str(tmp_path / name)]).exit_code == 0
-    assert sizes == [((480, 270), 10), ((1280, 720), 30)]
-
-
-@pytest.mark.parametrize("name", ["film.mp4", "film.mkv", "film.gif"])
-def test_a_full_disk_ends_the_drawing(tmp_path, monkeypatch, capfd, name):
-    pytest.importorskip("av", reason="av is not installed (extra film)")
-    drawn, rng = [], np.random.default_rng(0)
-
-    def pictures():
-        for number in range(300):
-            drawn.append(number)
-            yield rng.integers(0, 255, (64, 64, 3), np.uint8)
-
-    def full(sink, content):
-        raise OSError(errno.ENOSPC, "No space left on device")
-    monkeypatch.setattr(film._Sink, "put", full)
-    with pytest.raises(InputError, match="No space left.*free some space"):
-        film.write_film(tmp_path / name, pictures(), (64, 64), Fraction(10))
-    assert len(drawn) < 100 and "Traceback" not in capfd.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_film_in_the_place_of_a_folder_is_refused_before_the_work(tmp_path, command, monkeypatch):
-    pytest.importorskip("av", reason="av is not installed (extra film)")
-    monkeypatch.setattr("clsplat.export.film.open_model", None)
-    (tmp_path / "film.mp4").mkdir()
-    code, said = command("film.mp4", "--overwrite")
-    assert code == 2 and "Is a directory" in said, said
-
-
-def test_an_interrupted_film_leaves_nothing(tmp_path, command, monkeypatch):
-    pytest.importorskip("av", reason="av is not installed (extra film)")
-
-    def fails(*_, **__):
-        raise KeyboardInterrupt
-    monkeypatch.setattr("clsplat.export.film.open_model", fails)
-    for output in ("frames", "film.mp4"):
-        assert command(output)[0] == 130
-    assert not (tmp_path / "film.mp4").exists() and not list((tmp_path / "frames").iterdir())
-    assert not list(tmp_path.glob("*.part"))
-
-
 @pytest.mark.parametrize("words, message", [
     (("film.avi",), "unknown suffix"), (("film.mp4", "--size", "63x48"), "even numbers"),
     (("film.mp4", "--size", "63"), "not a size"),
@@ -253,11 +181,4 @@ def test_wrong_words_get_a_line(tmp_path, command, words, message):
     pytest.importorskip("av", reason="av is not installed (extra film)")
     code, said = command(*words)
     assert code == 2 and message in said, said
-    assert not list(tmp_path.iterdir())
-
-
-def test_without_the_encoder_the_cure_is_named_before_the_work(tmp_path, command, monkeypatch):
-    monkeypatch.setattr("clsplat.export.film.av", None)
-    code, said = command("film.mp4")
-    assert code == 2 and "pip install av" in said and "folder for PNG files" in said
     assert not list(tmp_path.iterdir())

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -121,21 +120,6 @@ def test_tiles_and_overviews_continue(item_device, tmp_path):
     assert np.allclose(half[10:50], 7, atol=5e-3)
 
 
-def test_a_coarse_map_is_the_mean_of_a_fine_one(item_device, tmp_path):
-    """Gaussians smaller than a pixel would be drawn as large as one, and hide what is beside."""
-    scene = made.scene(None)
-    found = []
-    for resolution in (0.1, 0.8):  # the photos have 0.12
-        grid = map_grid(scene, resolution, (92.0, -58.0, 108.0, -42.0))
-        write_map(run_of(tmp_path, scene), scene, grid, None, item_device, tmp_path, points=False)
-        found.append([values.astype(float) for values in rasters(tmp_path)])
-    (colours, heights), coarse = found[0], found[1]
-    assert coarse[0].shape == (20, 20, 4) and coarse[1].shape == (20, 20)
-    means = colours.reshape(20, 8, 20, 8, 4).mean(axis=(1, 3))
-    assert abs(coarse[0] - means).max() < 4
-    assert abs(coarse[1] - heights.reshape(20, 8, 20, 8).mean(axis=(1, 3))).max() < 0.01
-
-
 @pytest.mark.slow
 def test_where_nothing_is_known(item_device, tmp_path):
     """Beyond the model there are holes; where one photo alone looks, nothing is claimed."""
@@ -191,15 +175,6 @@ def test_a_map_in_another_system_lies_at_the_same_places(item_device, tmp_path):
         reprojection_of(made.UTM.crs, "EPSG:nonsense")
 
 
-def test_what_points_need_is_asked_for_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyproj", None)
-    scene = made.scene()
-    with pytest.raises(InputError, match="pip install pyproj"):
-        write_map(run_of(tmp_path, scene), scene, map_grid(scene, 1.0), made.UTM.crs, None,
-                  tmp_path / "map", interval=0)
-    assert not (tmp_path / "map").exists()
-
-
 @pytest.mark.slow
 def test_the_surface_as_points(item_device, tmp_path, monkeypatch):
     laspy = pytest.importorskip("laspy", reason="laspy is not installed (extra geo)")
@@ -236,21 +211,6 @@ def test_the_grid_follows_the_photos():
         map_grid(scene, 1e-6)
 
 
-@pytest.mark.parametrize("words, message", [
-    (["--resolution", "5 furlongs"], "not a length"),
-    (["--resolution", "5cm"], "no georeference"),
-    (["--resolution", "0"], "size of a pixel"),
-    (["--crs", "EPSG:32633"], "no georeference"),
-    (["--bounds", "3", "0", "1", "5"], "--bounds"),
-    (["--contours", "-1"], "not a length"),
-])
-def test_wrong_words_get_a_line(tmp_path, monkeypatch, words, message):
-    monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(None)))
-    result = CliRunner().invoke(main, ["map", "run", "-o", str(tmp_path / "map"), *words])
-    assert result.exit_code == 2 and message in result.output, result.output
-    assert not (tmp_path / "map").exists()
-
-
 def test_the_command(tmp_path, monkeypatch):
     monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(None)))
     words = ["map", "run", "-o", str(tmp_path / "map"), "--resolution", "0.1", "--no-points"]
@@ -264,12 +224,3 @@ def test_the_command(tmp_path, monkeypatch):
     assert again.exit_code == 0, again.output
     left = {path.name for path in (tmp_path / "map").iterdir()}
     assert left == FILES - {"contours.geojson"} | {"mine.txt"}, "no lines of the earlier map"
-
-
-@pytest.mark.slow
-def test_too_many_contour_lines_leave_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(None)))
-    result = CliRunner().invoke(main, ["map", "run", "-o", str(tmp_path / "map"), "--resolution",
-                                       "0.1", "--no-points", "--contours", "0.0001"])
-    assert result.exit_code == 2 and "larger interval" in result.output, result.output
-    assert not any((tmp_path / "map").iterdir())

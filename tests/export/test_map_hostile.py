@@ -11,7 +11,6 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.evaluation.run import Run
-from clsplat.export.map import stated
 from clsplat.georeference import Residual
 from tests.data import ground_model as made
 from tests.export.test_map import run_of
@@ -106,11 +105,3 @@ def test_a_georeference_with_residuals_by_axis_and_a_warning(mapped):
     assert "warning: the residual is 9 %" in result.output
     assert json.loads((folder / "map.json").read_text())["georeference"]["residuals_rms"] == {
         "check": {"east": 0.25, "north": 0.25}}
-
-
-@pytest.mark.parametrize("residual, warned", [(0.4, False), (0.7, True), (16.6, True)])
-def test_a_large_residual_of_an_older_georeference_is_a_warning(residual, warned):
-    """The flight is 17 m long."""
-    place = dataclasses.replace(made.UTM, residual=residual)
-    found = stated(made.scene(place), place.crs, place)["georeference"]
-    assert any("of the size of the flight, 17 m" in text for text in found["warnings"]) == warned

@@ -158,12 +158,3 @@ def test_the_extent_is_that_of_all_that_is_covered(item_device, tmp_path):
     middle = made.OFFSET[:2]
     assert abs(np.array([left, bottom, right, top]) - [*(middle - 12), *(middle + 12)]).max() < 1
     assert record["covered"] > 0.9 and (rasters(tmp_path)[0][..., 3] == 0).any(axis=1).all()
-
-
-@pytest.mark.slow
-def test_tiles_without_anything_are_not_drawn(item_device, tmp_path):
-    scene, told = made.scene(None), []
-    grid = map_grid(scene, 0.1, (-100.0, -200.0, 200.0, 100.0))
-    write_map(run_of(tmp_path, scene), scene, grid, None, item_device, tmp_path, points=False,
-              count=lambda *words: told.append(words))
-    assert grid.tiles == (6, 6) and told[-1][1:] in {(n, n) for n in range(1, 5)}

@@ -34,20 +34,6 @@ def test_a_model_shows_its_page_in_a_frame():
     assert "<p>500 gaussians, SH degree 1</p>" in shown
 
 
-@pytest.mark.parametrize("model, words", [
-    (lambda: ground(1), "1 gaussians"), (lambda: ground(2), "2 gaussians"),
-    (lambda: ground(offset=(587670.0, 3338097.0, 309.0)), "500 gaussians"),
-    (lambda: ground(positions=np.zeros((500, 3), np.float32)), "500 gaussians"),  # at one place
-    (lambda: ground(positions=np.eye(500, 3, dtype=np.float32)), "500 gaussians"),
-    (lambda: ground(log_scales=np.full((500, 3), -30, np.float32)), "500 gaussians"),
-    (lambda: ground().with_sh_degree(0), "SH degree 0"),
-    (lambda: ground(opacity_logits=np.full(500, -20, np.float32)), "nothing to show"),
-    (lambda: Gaussians({name: rows[:0] for name, rows in ground().rows.items()}, 1),
-     "nothing to show")], ids=range(9))
-def test_any_model_is_shown(model, words):
-    assert words in model_frame(model())
-
-
 def test_a_large_model_is_shown_by_a_smaller_one(monkeypatch):
     monkeypatch.setattr(notebook, "MOST_SHOWN", 100)
     monkeypatch.setattr(notebook, "MOST_MERGED", 200)

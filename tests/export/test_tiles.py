@@ -1,6 +1,4 @@
 import json
-import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,14 +6,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from clsplat.edit.select import merged
-from clsplat.errors import InputError
-from clsplat.export import tiles as tiles_module
 from clsplat.export.tiles import (
-    Tile,
     placement,
     tile_tree,
     upright,
-    write_run_tiles,
     write_tiles,
 )
 from clsplat.georeference import Georeference
@@ -181,14 +175,6 @@ def test_levels_of_sig_take_the_place_of_merged_gaussians():
     assert without.gaussians.count == 50
 
 
-def test_a_model_of_one_tile_and_one_place():
-    assert isinstance(tile_tree(cloud(5)), Tile) and not tile_tree(cloud(5)).children
-    model = cloud(100)
-    model.rows["positions"][:] = 0.5
-    leaves = [tile for tile in tile_tree(model, limit=10).all() if not tile.children]
-    assert sum(tile.gaussians.count for tile in leaves) == 100
-
-
 def test_tiles_stand_upright():
     up = np.array([0.0, -0.6, -0.8])
     model = cloud(20, offset=tuple(5 * up))
@@ -196,17 +182,6 @@ def test_tiles_stand_upright():
     heights = (model.positions + model.offset) @ up
     assert np.allclose((turned.positions + turned.offset)[:, 2], heights, atol=1e-5)
     assert upright(model, np.array([0.0, 0, 1])).positions is model.positions
-
-
-def test_what_the_earth_needs_is_asked_for_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyproj", None)
-    monkeypatch.setattr(tiles_module, "tile_tree", None)
-    place = Georeference("EPSG:32633", (465_000.0, 5_800_000.0, 50.0), "", 0.0)
-    run = SimpleNamespace(up=np.array([0.0, 0, 1]), georeference=place,
-                          folder=SimpleNamespace(snapshots=list))
-    with pytest.raises(InputError, match="pip install pyproj"):
-        write_run_tiles(tmp_path / "tiles", run, cloud(5))
-    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("compressed", [False, True])

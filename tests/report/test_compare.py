@@ -18,7 +18,6 @@ from clsplat.report.compare import (
     time_table,
     write_comparison,
 )
-from clsplat.report.curves import curve
 from clsplat.report.figures import comparison_figure, cost_figure
 from clsplat.report.groups import (
     Trained,
@@ -72,13 +71,6 @@ def test_groups_are_named_by_what_tells_them_apart(first, second, names):
     runs = [trained("a", **{"schedule": "sig", **first}),
             trained("b", **{"schedule": "sig", **second})]
     assert list(grouped(runs)) == names
-
-
-def test_names_take_as_many_words_as_needed():
-    runs = [trained(str(number), schedule=schedule, size=size)
-            for number, (schedule, size) in enumerate(
-                [("sig", "S"), ("sig", "L"), ("dash", "S")])]
-    assert list(grouped(runs)) == ["sig, size S", "sig, size L", "dash, size S"]
 
 
 def test_options_that_a_schedule_does_not_use_are_left_out():
@@ -254,36 +246,6 @@ def test_no_curve_is_drawn_of_single_evaluations(tmp_path):
     assert not (tmp_path / "compare.png").exists()
 
 
-def test_a_comparison_survives_names_and_figures(folder, tmp_path, monkeypatch):
-    def fails(*_, narrow):
-        raise ValueError("no figure")
-
-    chosen = tmp_path / "out_\udcff"
-    try:
-        chosen.mkdir()
-    except OSError:
-        pytest.skip("this file system wants names in UTF-8")
-    (folder / "dash.0").rename(chosen / "run_\udcfe")
-    monkeypatch.setattr("clsplat.report.compare.comparison_figure", fails)
-    text, page = write_comparison([chosen])
-    assert "could not be drawn (no figure)" in page.read_text() and text.encode()
-    done = CliRunner().invoke(main, ["compare", str(chosen)])
-    assert done.exit_code == 0, done.output
-
-
-@pytest.mark.slow
-def test_where_the_output_goes(folder, tmp_path):
-    chosen = tmp_path / "new" / "place"
-    _, page = write_comparison([folder / "sig.0", folder / "dash.0"], chosen)
-    assert page == chosen / "compare.html" and not (folder / "compare.html").exists()
-    write_comparison([folder / "sig.0", folder / "dash.0"])
-    assert (folder / "compare.html").exists()
-    (tmp_path / "file").write_text("")
-    refused(lambda: write_comparison([folder], tmp_path / "file" / "x"), "file", "--output")
-    RunFolder.create(tmp_path / "a").write_options({})
-    refused(lambda: write_comparison([tmp_path / "a"]), "none of the runs has metrics")
-
-
 @pytest.mark.parametrize("words, complaint", [
     (["compare"], "Missing argument"), (["compare", "/nowhere"], "/nowhere: holds no run"),
     (["compare", ".", "--psnr", "nan"], "nan is not a finite number")])
@@ -367,16 +329,6 @@ def scenes(monkeypatch):
                         lambda scene: ("ab" if scene.name == "city" else "cd") * 32)
 
 
-@pytest.mark.parametrize("scene, options, words", [
-    ("/data/barn", {}, "another scene"), ("/data/city", {"max_gaussians": 5}, "max_gaussians 5"),
-    ("/data/city", {"eval_at": (7,)}, "eval_at [7]")])
-def test_a_campaign_leaves_other_runs_alone(tmp_path, wanted, scenes, scene, options, words):
-    made_run(tmp_path / "dash.1", "dash", 1, **options)
-    trainer = Trainer()
-    refused(lambda: run_campaign(trainer, wanted, tmp_path, scene), "dash.1", words, "-o")
-    assert trainer.calls == []
-
-
 @pytest.mark.slow
 def test_a_run_that_fails_does_not_stop_the_others(tmp_path, wanted, capsys):
     trainer = Trainer({"dash.0": DeviceError("no memory")})
@@ -391,8 +343,3 @@ def test_an_interrupted_campaign_stops(tmp_path, wanted):
     with pytest.raises(Interrupted, match="the same command"):
         run_campaign(trainer, wanted, tmp_path, "/data/city")
     assert len(trainer.calls) == 2
-
-
-def test_made_runs_have_what_a_comparison_reads(tmp_path):
-    line = curve(made_run(tmp_path / "run").records(), "train_seconds", "psnr_cc", "eval")
-    assert len(line[0]) == 10 and (line[0][1:] > line[0][:-1]).all()

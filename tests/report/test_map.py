@@ -1,16 +1,14 @@
 """The map of a partition: what is drawn is where it is, and says what it should."""
 
-import io
 from dataclasses import replace
 
-import matplotlib
 import numpy as np
 import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 
 from clsplat.partition.make import METHODS
 from clsplat.partition.outline import centroid
-from clsplat.report.map import partition_map, write_map
+from clsplat.report.map import partition_map
 from tests.data.fields import cut, field, moved, world
 
 
@@ -57,30 +55,9 @@ def test_labels_name_block_gaussians_and_views():
                      for block, views in enumerate(partition.views)]
 
 
-def test_many_blocks_have_numbers_only():
-    _, partition, figure = drawn(grid=(5, 4), cameras=60)
-    assert [t.get_text() for t in figure.axes[0].texts] == [str(n) for n in range(20)]
-
-
 def test_held_out_and_lost_views_are_marked_apart():
     _, partition, figure = drawn(blind=7)
     assert list(partition.dropped) == [7]
     marks = {line.get_label(): len(line.get_xdata()) for line in figure.axes[0].lines}
     assert marks == {"in no block": 1, "held out": 1}
     assert ", 1 in none" in figure.axes[0].get_title(loc="left")
-
-
-def test_a_map_can_be_saved():
-    png = io.BytesIO()
-    drawn()[2].savefig(png, format="png", dpi=40)
-    assert png.getvalue().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["sc$\\frac{$", "a$b", "日本", "x\ny", "_^{}%#&~", " "])
-def test_a_scene_of_any_name_has_a_map(name, recwarn):
-    scene, partition, _ = drawn()
-    file = io.BytesIO()
-    with matplotlib.rc_context({"text.usetex": True, "font.size": 30}):  # a user's settings
-        write_map(file, partition, replace(scene, name=name))
-    assert file.getvalue().startswith(b"\x89PNG") and not len(recwarn)

@@ -1,19 +1,12 @@
 """Curves from records, the page of a run, tables; parts that a run lacks are left out."""
 
-import os
 import re
-import subprocess
-import sys
 from html.parser import HTMLParser
-from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-import clsplat
-from clsplat.io.runs.origin import origin
 from clsplat.io.runs.run import RunFolder
 from clsplat.report import run as run_page
 from clsplat.report.curves import (
@@ -24,7 +17,7 @@ from clsplat.report.curves import (
     spread,
     value_at,
 )
-from clsplat.report.drawing import drawn, own_settings
+from clsplat.report.drawing import drawn
 from clsplat.report.figures import score_figure, step_figure
 from clsplat.report.groups import full_name
 from clsplat.report.page import Table, page
@@ -56,10 +49,6 @@ def test_values_are_linear_between_points_and_unknown_outside():
 def test_when_a_level_is_reached(level, answer):
     assert reached(LINE, level) == answer
     assert reached(NOTHING, level) is None
-
-
-def test_a_level_counts_from_where_it_is_first_reached():
-    assert reached((np.arange(5.0), np.array([0.0, 8, 4, 8, 9])), 6) == (0.75, False)
 
 
 def test_band():
@@ -201,54 +190,6 @@ def test_a_figure_that_fails_is_a_line(tmp_path, monkeypatch):
     assert Balanced(html).pictures == 1
 
 
-@pytest.mark.slow
-def test_settings_of_matplotlib_do_not_reach_the_page(tmp_path):
-    """A user's matplotlibrc asks for LaTeX, which is not there, and for other colours and fonts."""
-    records = list(made_records("constant"))
-    expected = drawn("curves", step_figure, records)
-    assert "data:image" in expected
-    with matplotlib.rc_context({"text.usetex": True, "axes.facecolor": "red", "font.size": 30,
-                                "axes.formatter.use_locale": True, "savefig.bbox": "tight"}):
-        assert drawn("curves", step_figure, records) == expected  # the same bytes
-        assert matplotlib.rcParams["text.usetex"] and matplotlib.rcParams["font.size"] == 30
-
-
-def test_text_of_figures_is_no_mathematics():
-    def draw(narrow):
-        figure = Figure(figsize=(2, 2))
-        figure.subplots().set_title(r"sc$\frac{$")
-        return figure
-
-    assert "data:image" in drawn("a name", draw)
-    with own_settings():
-        assert not matplotlib.rcParams["text.usetex"]
-
-
-@pytest.mark.parametrize("environment, works", [
-    ({"MPLBACKEND": "nonsense"}, True), ({"MATPLOTLIBRC": "rc"}, False)])
-@pytest.mark.slow
-def test_the_environment_of_matplotlib(tmp_path, environment, works):
-    (tmp_path / "rc").write_bytes(b"font.size: 9 # \xff\n")
-    code = ("import os, clsplat.errors as e\ntry:\n    import clsplat.report.figures\n"
-            "    print('works', os.environ.get('MPLBACKEND'))\n"
-            "except e.InputError as error:\n    print('refused', error)")
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True,
-                          text=True, check=True, env={
-                              **os.environ, **environment,
-                              "PYTHONPATH": str(Path(__file__).resolve().parents[2])})
-    assert done.stdout.startswith("works nonsense" if works else "refused matplotlib cannot be")
-    assert done.stdout.count("\n") == 1
-
-
-def test_names_that_are_no_text(tmp_path):
-    folder = os.fsdecode(os.fsencode(tmp_path) + b"/out_\xff")
-    try:
-        os.mkdir(folder)
-    except OSError:
-        pytest.skip("this file system wants names in UTF-8")
-    assert "<h1>out_\\udcff</h1>" in write_report(bare_run(folder)).read_text()
-
-
 def test_tables_of_a_run():
     records = list(made_records("sig"))
     levels = level_table(records)
@@ -317,24 +258,6 @@ def test_the_head_says_when_by_what_and_how(made, line):
     html = page("title", "lead", made=made)
     assert f"<p class=facts>{line}</p>" in html if line else "class=facts" not in html
     Balanced(html)
-
-
-def test_a_command_is_recorded(monkeypatch, tmp_path):
-    own = str(Path(clsplat.__file__).with_name("__main__.py"))
-    for argv, command in ((["/bin/clsplat", "train", "a b"], "clsplat train 'a b'"),
-                          ([own, "plan"], "clsplat plan"), (["/other/__main__.py"], None),
-                          (["notebook.py"], None), ([], None)):
-        monkeypatch.setattr(sys, "argv", argv)
-        assert origin()["command"] == command
-    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d\d:\d\d", origin()["date"])
-    assert bare_run(tmp_path / "run").read_options()["version"] == clsplat.__version__
-
-
-def test_a_new_run_removes_the_report_of_the_old(tmp_path):
-    run = bare_run(tmp_path / "run")
-    path = write_report(run)
-    RunFolder.create(run.path, overwrite=True).write_options({})
-    assert not path.exists()
 
 
 def test_a_page_escapes_its_words():

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from clsplat.options import resolve
-from clsplat.schedule import SceneFacts, scaled_steps, schedule_of
+from clsplat.schedule import SceneFacts, scaled_steps
 from clsplat.schedule.constant import Constant
 
 FACTS = SceneFacts((640, 480), 1000, 1.0, photos=None, pixels=10**8)
@@ -23,10 +23,6 @@ def steps(options, asked):
 
 
 DEFAULTS = options_of(iterations=7000)
-
-
-def test_it_is_known_by_name():
-    assert schedule_of("constant") is Constant
 
 
 def test_rounds_of_growth():
@@ -58,11 +54,6 @@ def test_degree_rises_to_the_highest():
     assert low.plan(30000).degree == 1
 
 
-def test_full_resolution_throughout():
-    schedule = Constant(DEFAULTS, FACTS)
-    assert {schedule.plan(i).level for i in (1, 3000, 7000)} == {1.0} == set(schedule.levels)
-
-
 def test_the_position_rate_decays_evenly_over_the_run():
     schedule = Constant(DEFAULTS, FACTS)
     assert [schedule.plan(i).decay for i in (1, 1751, 3501, 7000)] == [0, 0.25, 0.5, 6999 / 7000]
@@ -71,32 +62,12 @@ def test_the_position_rate_decays_evenly_over_the_run():
         0, 0.5, 3499 / 3500, 1, 1]
 
 
-def test_it_asks_for_nothing_else():
-    schedule = Constant(DEFAULTS, FACTS)
-    assert schedule.selection == "threshold"
-    assert schedule.target(601, 50, 20) is None and not schedule.spares_half(601)
-    assert schedule.observe(100, {"robust_mean": 1.0}) is None and schedule.latest is None
-    assert schedule.ahead(3000) == [(1.0, 4000)]
-    assert schedule.state() == {} and schedule.load({}) is None
-    assert steps(DEFAULTS, "regularises") == []
-
-
 def test_scaled_steps():
     scaled = options_of(iterations=7000, steps_scale=0.1, reset_every=0)
     assert (scaled.iterations, scaled.densify_from, scaled.densify_until, scaled.densify_every,
             scaled.sh_every, scaled.reset_every) == (700, 50, 350, 10, 100, 0)
     assert scaled_steps(scaled) == scaled
     assert steps(scaled, "grows") == [i + 1 for i in range(60, 350, 10)]
-
-
-def test_a_count_is_never_scaled_to_nothing():
-    scaled = options_of(iterations=40, steps_scale=1e-3)
-    assert (scaled.iterations, scaled.densify_every, scaled.densify_until) == (1, 1, 1)
-
-
-def test_growth_ends_where_it_is_told():
-    told = options_of(iterations=7000, densify_until=1000)
-    assert steps(told, "grows") == [601, 701, 801, 901]
 
 
 @pytest.mark.parametrize("schedule, until, every", [

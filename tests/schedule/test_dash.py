@@ -96,13 +96,6 @@ def test_the_published_curve():
     assert abs(schedule.scale(halfway) ** -2 - mean) < 1e-9
 
 
-def test_the_scale_falls_from_the_first_factor_to_one():
-    schedule = schedule_of()
-    scales = [schedule.scale(steps) for steps in range(0, 30001, 10)]
-    assert (np.diff(scales) <= 0).all() and scales[0] <= 8
-    assert schedule.scale(26999) > 1 and schedule.scale(27000) == 1 == schedule.scale(30000)
-
-
 def test_the_factor_is_whole_and_changes_at_rounds_of_growth_only(plans):
     levels = [plan.level for plan in plans]
     changed = [i for i in range(1, len(levels)) if levels[i] != levels[i - 1]]
@@ -115,35 +108,6 @@ def test_the_factor_is_whole_and_changes_at_rounds_of_growth_only(plans):
     for steps, plan in enumerate(plans[:-1]):
         if plan.grows:  # by statistics of images of the factor before
             assert plans[steps + 1].level == int(schedule.scale(steps + 1))
-
-
-def test_the_smallest_factor_of_all_photos_begins():
-    """A noisy photo holds little in a small image."""
-    noise = np.random.default_rng(9).integers(0, 256, (3, *SIZE[::-1]), np.uint8)
-    assert schedule_of([*PHOTOS, noise]).scale(0) == pytest.approx(schedule_of([noise]).scale(0))
-    assert schedule_of([noise]).scale(0) < schedule_of().scale(0)
-
-
-def test_the_first_factor_is_eight_at_most():
-    """A blurred photo with a single dot: little is lost by any factor."""
-    photo = np.full((3, *SIZE[::-1]), 200, np.uint8)
-    photo[:, 5, 5] = 180
-    assert schedule_of([photo]).scale(0) == pytest.approx(8)
-    assert schedule_of([photo]).levels == (8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0)
-
-
-def test_no_image_is_smaller_than_a_tile():
-    photo = np.full((3, 40, 64), 200, np.uint8)
-    photo[:, 5, 5] = 180
-    assert schedule_of([photo], (64, 40)).scale(0) == pytest.approx(40 / 16)
-    tiny = schedule_of([a_photo(7, 5)], (7, 5))
-    assert tiny.levels == (1.0,) and tiny.plan(1).level == 1
-
-
-@pytest.mark.parametrize("value", [0, 255])
-def test_flat_photos_train_at_full_resolution(value):
-    schedule = schedule_of([np.full((3, *SIZE[::-1]), value, np.uint8)])
-    assert schedule.levels == (1.0,) and schedule.plan(1).level == 1
 
 
 def test_a_moved_end_moves_the_curve_but_never_back():
@@ -166,11 +130,6 @@ def test_positions_decay_from_where_the_factor_falls_below_two(plans):
     assert plans[began + 1].decay == pytest.approx(1 / (30000 - began))
     assert plans[(began + 30000) // 2].decay == pytest.approx(0.5, abs=1e-4)
     assert plans[-1].decay == pytest.approx(1 - 1 / (30000 - began))
-
-
-def test_full_resolution_decays_from_the_start():
-    schedule = schedule_of([a_photo(7, 5)], (7, 5))
-    assert [schedule.plan(i).decay for i in (1, 15001, 30001)] == [0, 0.5, 1]
 
 
 def test_rounds_and_resets(plans):
@@ -215,11 +174,6 @@ def test_growth_never_falls_and_reaches_the_final_number():
     assert factors[0] > 1 and len(counts) == 264
 
 
-def test_pruned_gaussians_are_grown_again():
-    counts, _ = grown(schedule_of(), above=0, keeps=0.95)
-    assert counts[-1] == 6 * START
-
-
 def test_the_last_interval_asks_for_all():
     schedule = schedule_of()
     schedule.plan(1)
@@ -240,11 +194,6 @@ def test_the_final_number_follows_the_demand():
     assert expected > 10**6
 
 
-@pytest.mark.parametrize("limit, last", [(3000, 3000), (10**6, 6000), (500, 1000)])
-def test_the_final_number_keeps_to_the_limit(limit, last):
-    assert grown(schedule_of(max_gaussians=limit), above=0)[0][-1] == last
-
-
 # --- checkpoints
 
 @pytest.mark.slow
@@ -263,9 +212,3 @@ def test_a_resumed_schedule_goes_on_as_if_it_had_never_stopped():
         resumed = schedule_of()
         resumed.load(json.loads(json.dumps(whole.state())))
         assert go_on(whole, stop, stop + 2000) == go_on(resumed, stop, stop + 2000)
-
-
-def test_asking_again_changes_nothing():
-    schedule = schedule_of()
-    for iteration in (1, 601, 5001, 27001):
-        assert schedule.plan(iteration) == schedule.plan(iteration)

@@ -1,13 +1,11 @@
 """The schedule of 3DGS-MCMC: when it grows, and to how many gaussians."""
 
-import dataclasses
 
 import pytest
 
 from clsplat.options import TrainOptions, resolve
 from clsplat.schedule import SceneFacts, registry, scaled_steps
 from clsplat.schedule.mcmc import Mcmc
-from clsplat.schedule.simulate import largest, simulate
 
 START = 1000
 FACTS = SceneFacts((640, 480), START, 1.0, photos=None, pixels=10**8)
@@ -37,17 +35,3 @@ def test_a_twentieth_more_up_to_the_cap():
     assert schedule.target(801, 1100, 0) == 1100
     assert schedule.target(801, 5000, 0) == 5000  # the initial ones may be more
     assert schedule_of(mcmc_growth=0.5).target(601, START, 0) == 1500
-
-
-@pytest.mark.parametrize("limits, most", [
-    ({}, int(START * 1.05**53)), ({"max_gaussians": 2000}, 2000)])
-def test_the_number_is_foretold(limits, most):
-    for pixels in (FACTS.pixels, 1):  # whatever the photos ask for
-        schedule = schedule_of(dataclasses.replace(FACTS, pixels=pixels), iterations=7000, **limits)
-        assert largest(simulate(schedule)) == pytest.approx(most, rel=0.01)
-
-
-def test_a_moved_end_moves_the_last_round():
-    schedule = schedule_of(iterations=7000)
-    schedule.options = dataclasses.replace(schedule.options, densify_until=1000)
-    assert schedule.plan(901).grows and not schedule.plan(1001).grows

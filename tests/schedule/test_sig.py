@@ -11,8 +11,6 @@ from clsplat.options import TrainOptions, resolve
 from clsplat.schedule import scaled_steps, schedule_of
 from clsplat.schedule.sig import (
     GROWS_SHARE,
-    OBSERVE_STEPS,
-    Sig,
 )
 from clsplat.schedule.sig_limits import LEVELS, ROUND_STEPS, chosen_levels
 from tests.schedule.driven_sig import (
@@ -29,10 +27,6 @@ from tests.schedule.driven_sig import (
 )
 
 RECORD = {"level", "reason", "since", "rounds", "frequency", "slope", "threshold", "hits"}
-
-
-def test_it_is_known_by_name():
-    assert schedule_of("sig") is Sig
 
 
 def test_one_level_is_all_there_is():
@@ -88,25 +82,6 @@ def test_the_finest_level_always_gets_its_share(iterations, levels, frequency):
             assert decision["slope"] is None or decision["slope"] >= decision["threshold"]
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.9])
-def test_the_share_is_an_option(share):
-    schedule = sig(level_share=share)
-    steps = lengths(drive(schedule, rising))
-    assert abs(sum(steps.values()) - steps[1.0] - share * 6000) <= 2 * schedule.observe_every
-
-
-@pytest.mark.parametrize("preset", PRESETS)
-def test_without_deadlines_nothing_ends_what_does_not_converge(preset):
-    assert not decisions(drive(sig(preset=preset, level_share=1.0), rising))
-
-
-@pytest.mark.slow
-def test_so_many_hits_in_a_row_are_wanted():
-    ends = [decisions(drive(sig(convergence_hits=hits, level_share=0.9)))[0][0]
-            for hits in (1, 2, 4)]
-    assert np.diff(ends).tolist() == [OBSERVE_STEPS, 2 * OBSERVE_STEPS]
-
-
 def test_a_miss_between_hits_counts_them_anew():
     """The paper's test looks at one difference, so a single jump is a single miss."""
     kind = {"preset": "paper", "convergence_hits": 3}
@@ -141,13 +116,6 @@ def test_nothing_is_tested_before_growth_is_over():
     assert last + 2 * schedule.observe_every <= end < last + 3 * schedule.observe_every
 
 
-def test_the_guard_waits_out_growth_at_fixed_intervals_too():
-    schedule = sig(rounds=0, densify_every=100, densify_until=6000, level_share=0.8)
-    found = decisions(drive(schedule))
-    assert all(d["reason"] == "converged" for _, d in found)
-    assert found[0][1]["since"] >= GROWS_SHARE * 0.8 * 6000 / 3
-
-
 @pytest.mark.parametrize("preset", ["paper", "release"])
 def test_published_tests_are_not_guarded(preset):
     schedule = sig(preset=preset, levels=(2.0, 1.0), iterations=20_000)
@@ -155,24 +123,6 @@ def test_published_tests_are_not_guarded(preset):
     assert first["reason"] == "converged" and first["rounds"] < schedule.options.rounds
     needed = {"paper": 1 + 1, "release": 6 + 4}[preset]
     assert first["since"] == needed * schedule.observe_every
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_the_frequency_asked_for_decides(name):
-    name = "robust" if name == "ours" else name
-    schedule = sig(frequency=name)
-    for iteration in range(1, 6001):
-        if iteration % schedule.observe_every == 0 and not schedule.last:
-            values = {f"{v}_mean": flat(0) if v == name else rising(iteration)
-                      for v in ("robust", "paper", "release")}
-            schedule.observe(iteration, values)
-            assert schedule.latest["frequency"] == 30.0
-
-
-def test_looks_are_closer_where_levels_are_short():
-    assert sig(iterations=300).observe_every < sig(iterations=3000).observe_every <= OBSERVE_STEPS
-    assert sig(iterations=300_000).observe_every == OBSERVE_STEPS
-    assert sig(iterations=1).observe_every == 1
 
 
 # --- growth
@@ -200,22 +150,6 @@ def test_growth_comes_in_rounds(iterations, count, frequency):
             assert abs(last - first - min(steps, GROWS_SHARE * allotment)) <= 1
 
 
-def test_most_rounds_fit_into_each_level():
-    schedule = sig(iterations=30_000, levels=LEVELS)
-    taken = drive(schedule, rising)
-    for level in LEVELS:
-        assert len(rounds(taken, level)) >= 0.5 * schedule.options.rounds, level
-
-
-@pytest.mark.slow
-def test_a_level_settles_before_its_first_round():
-    schedule = sig(iterations=100_000, levels=(2.0, 1.0))
-    taken = drive(schedule, rising)
-    first = next(i for i, plan, _ in taken if plan.level == 1.0)
-    assert rounds(taken, 2.0)[0] == 1 + 500 + ROUND_STEPS[1]
-    assert rounds(taken, 1.0)[0] == first + 500 + ROUND_STEPS[1]
-
-
 def test_a_model_grows_no_larger_than_its_pixels_can_tell_apart():
     """At each level its own, and by a fifth a round at most; never less than what is there."""
     schedule = sig(pixels_per_gaussian=50.0)
@@ -228,14 +162,6 @@ def test_a_model_grows_no_larger_than_its_pixels_can_tell_apart():
     assert sig(pixels_per_gaussian=0.0).target(1, 10**6, 10**6) is None
 
 
-def test_a_level_fills_up_and_pruning_makes_room_again():
-    schedule = sig(pixels_per_gaussian=50.0)
-    schedule.target(1, int(schedule.ceiling), 0)
-    assert not schedule.plan(2).gathers and schedule.plan(600).grows, "rounds go on, to prune"
-    schedule.target(2, int(schedule.ceiling) - 1, 0)
-    assert schedule.plan(3).gathers
-
-
 def test_a_full_level_gathers_nothing_and_waits_for_no_round():
     full = drive(sig(pixels_per_gaussian=200.0))  # 960 at the first level, where 1000 begin
     roomy = drive(sig(pixels_per_gaussian=0.0))
@@ -243,19 +169,6 @@ def test_a_full_level_gathers_nothing_and_waits_for_no_round():
     assert decisions(full)[0][1]["reason"] == "converged"
     assert full[decisions(full)[0][0]][1].gathers, "the next has room from its first step"
     assert decisions(full)[0][0] < rounds(roomy, 4.0)[-1] < decisions(roomy)[0][0]
-
-
-def test_given_intervals_between_rounds():
-    schedule = sig(densify_every=37)
-    assert set(np.diff(rounds(drive(schedule), 4.0))) == {37}
-
-
-def test_growth_stops_for_good_at_the_finest_level():
-    schedule = sig()
-    taken = drive(schedule)
-    last = rounds(taken, 1.0)[-1]
-    assert len(rounds(taken, 1.0)) == schedule.options.rounds and last < 6000
-    assert not any(plan.grows or plan.gathers for i, plan, _ in taken if i > last)
 
 
 def test_without_rounds_growth_is_that_of_constant():
@@ -285,16 +198,6 @@ def test_rounds_left_over_are_carried_by_the_release_only(preset):
         assert grown[2] == count and schedule.carried == 0
 
 
-def test_a_level_change_forgets_samples_and_rounds():
-    schedule = sig()
-    taken = drive(schedule)
-    (first, _), (second, _) = decisions(taken)
-    again = sig()
-    drive(again, until=first)
-    assert (again.samples, again.hits, again.rounds_taken, again.index) == ([], 0, 0, 1)
-    assert again.began == first and second - first > 0
-
-
 # --- the rest of a plan
 
 def test_opacities_are_reset_while_growing_only():
@@ -305,13 +208,6 @@ def test_opacities_are_reset_while_growing_only():
     assert not any(plan.resets_opacity for _, plan, _ in drive(sig()))
 
 
-def test_opacities_are_reset_where_a_level_begins():
-    """Except the first, which begins with the model."""
-    taken = drive(sig(level_reset=True))
-    assert [iteration - 1 for iteration, plan, _ in taken if plan.resets_opacity] == [
-        iteration for iteration, _ in decisions(taken)]
-
-
 def test_photos_are_compared_while_growing_with_less_weight_later():
     schedule = sig(reproject="on", reproject_weight=0.2)
     taken = drive(schedule)
@@ -320,11 +216,6 @@ def test_photos_are_compared_while_growing_with_less_weight_later():
         if plan.regularises:
             assert plan.regularises == pytest.approx(0.2 * 10 ** -((iteration - 1) / 6000))
     assert not any(plan.regularises for _, plan, _ in drive(sig(reproject="off")))
-
-
-def test_the_degree_follows_the_steps():
-    plans = [plan for _, plan, _ in drive(sig(sh_every=1000))]
-    assert [plans[i].degree for i in (0, 999, 1000, 2000, 5999)] == [0, 0, 1, 2, 3]
 
 
 def test_the_position_rate_decays_at_the_finest_level_only():

@@ -51,36 +51,12 @@ def test_masks_are_found_by_either_name(tmp_path):
     assert [photo.mask for photo in photos] == [masks / "a.jpg.png", masks / "b/c.png", None]
 
 
-@pytest.mark.parametrize("name, given", [("ignore", True), ("masks", False)])
-def test_masks_below_the_photos_are_no_photos(tmp_path, name, given):
-    folder_of(tmp_path, ["a.jpg", "b.jpg", "c.jpg", f"{name}/a.png"])
-    photos, _ = find_photos(tmp_path, tmp_path / name if given else None)
-    assert len(photos) == 3 and photos[0].mask == tmp_path / name / "a.png"
-
-
-def test_a_folder_of_photos_may_be_named_masks(tmp_path):
-    """In Venice, for example."""
-    folder_of(tmp_path, ["a.jpg", "b.jpg", "masks/1.jpg", "masks/2.png"])
-    photos, _ = find_photos(tmp_path)
-    assert [photo.name for photo in photos] == ["a.jpg", "b.jpg", "masks/1.jpg", "masks/2.png"]
-
-
 def test_masks_of_another_shape_are_refused(tmp_path):
     """Of portraits as they are shown, for example, and not as they are stored."""
     folder_of(tmp_path / "images", ["a.jpg", "b.jpg", "c.jpg"])
     folder_of(tmp_path / "masks", ["b.png"], size=(48, 64))
     with pytest.raises(InputError, match="b.png: the mask has 48x64 pixels and its photo 64x48; m"):
         find_photos(tmp_path)
-
-
-@pytest.mark.parametrize("mark", ["sfm.json", ".sfm/state.json", "options.json", "city.json"])
-def test_what_clsplat_has_written_below_the_photos_is_no_photo(tmp_path, mark):
-    """`clsplat train . -o run` in the folder of the photos."""
-    folder_of(tmp_path, ["a.jpg", "b.jpg", "c.jpg", "run/images/a.jpg", "run/renders/x.png"])
-    (tmp_path / "run" / mark).parent.mkdir(exist_ok=True)
-    (tmp_path / "run" / mark).touch()
-    photos, _ = find_photos(tmp_path)
-    assert [photo.name for photo in photos] == ["a.jpg", "b.jpg", "c.jpg"]
 
 
 @pytest.mark.parametrize("names, masks, words", [
@@ -99,13 +75,6 @@ def test_what_cannot_be_reconstructed_is_refused(tmp_path, names, masks, words):
     with pytest.raises(InputError, match=words):
         find_photos(tmp_path / "in", masks and (tmp_path / "empty" if masks == "." else
                                                 tmp_path / masks))
-
-
-def test_a_file_is_no_folder_of_photos(tmp_path):
-    folder_of(tmp_path, ["a.jpg"])
-    for name, words in (("a.jpg", "is neither a folder nor a video"), ("b", "no such folder")):
-        with pytest.raises(InputError, match=f"{name}: {words}; give a folder with photos"):
-            find_photos(tmp_path / name)
 
 
 def test_photos_of_a_body_and_a_lens_share_a_camera(tmp_path):

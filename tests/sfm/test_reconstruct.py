@@ -2,14 +2,11 @@
 
 import json
 import os
-import resource
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import OpenImageIO as oiio
@@ -18,18 +15,15 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.errors import InputError
-from clsplat.georeference import Georeference
-from clsplat.io.georeference.files import write_georeference
-from clsplat.io.photos.images import read_image, write_image
+from clsplat.io.photos.images import read_image
 from clsplat.io.scenes.read import read_scene
-from clsplat.placement.similarity import fitted
 from clsplat.sfm import reconstruct as module
 from clsplat.sfm.database import create_database
 from clsplat.sfm.mapping import Mapped
 from clsplat.sfm.photos import find_photos
 from clsplat.sfm.reconstruct import SfmOptions, is_finished, reconstruct
 from clsplat.sfm.unfinished import Unfinished
-from tests.sfm.cases import Lines, folder_of, picture, synthetic
+from tests.sfm.cases import Lines, folder_of, synthetic
 
 CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"
 LATITUDE, LONGITUDE = 45.0, 9.0  # of the sample city: on the middle meridian of UTM zone 32
@@ -43,19 +37,6 @@ def clsplat_(*arguments):
 
 def photos_of(tmp_path):
     return folder_of(tmp_path / "in", ["a.jpg", "b.jpg", "c.jpg"])
-
-
-def test_outputs_of_others_are_refused(tmp_path):
-    photos, output = photos_of(tmp_path), tmp_path / "out"
-    output.mkdir()
-    (output / "letter.txt").write_text("dear")
-    for overwrite in (False, True):
-        with pytest.raises(InputError, match="was not made by `clsplat sfm`"):
-            reconstruct(photos, output, SfmOptions(), Lines(), overwrite)
-    assert [path.name for path in output.iterdir()] == ["letter.txt"]
-    (output / "letter.txt").rename(output / "sfm.json")
-    with pytest.raises(InputError, match="holds a reconstructed scene already"):
-        reconstruct(photos, output, SfmOptions(), Lines())
 
 
 def finished(folder, *names):
@@ -84,21 +65,6 @@ def test_photos_without_detail_are_refused_in_one_line(tmp_path):
     assert f"error: {tmp_path / 'out'}: no photos could be placed" in result.output
 
 
-def test_a_scene_without_a_place_keeps_none_of_a_killed_command(tmp_path, monkeypatch):
-    """Which had control points, or another folder of photos."""
-    model = synthetic()
-    photos = folder_of(tmp_path / "in", [f"{index}.jpg" for index in range(6)], size=(320, 240))
-    monkeypatch.setattr(module, "_mapped", lambda unfinished, photos, refused, cameras, *_: (
-        create_database(unfinished.database, cameras),
-        (unfinished.mapped(lambda: Mapped(model, "global")), "all"))[1])
-    (tmp_path / "out" / ".sfm").mkdir(parents=True)
-    write_georeference(tmp_path / "out", Georeference("EPSG:32632", (1.0, 2.0, 3.0), "GPS", 0.1))
-    record = reconstruct(photos, tmp_path / "out", SfmOptions(), Lines())
-    assert record["registered"] == 6 and not record["georeferenced"]
-    assert read_scene(tmp_path / "out").georeference is None
-    assert is_finished(tmp_path / "out", photos)
-
-
 def test_a_scene_whose_place_was_asked_for_is_kept_without_it(tmp_path, monkeypatch):
     """The same command, corrected, goes on."""
     model = synthetic()
@@ -123,37 +89,6 @@ def test_a_scene_whose_place_was_asked_for_is_kept_without_it(tmp_path, monkeypa
         "sfm", photos, "-o", tmp_path / "out").output
 
 
-@pytest.mark.parametrize("free", [60_000, None])
-def test_a_full_disk_is_told_in_one_line(tmp_path, monkeypatch, free):
-    """While the database is written, and before pairs are matched."""
-    (tmp_path / "in").mkdir()
-    for index in range(3):
-        write_image(tmp_path / f"in/{index}.png", picture(seed=index))
-    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
-    if free is None:
-        monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1 << 20))
-    else:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (free, limit[1]))
-    words = "disk is nearly full; free some" if free is None else "database.db: cannot be written"
-    try:
-        with pytest.raises(InputError, match=words):
-            reconstruct(tmp_path / "in", tmp_path / "out", SfmOptions(), Lines())
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
-
-
-def test_unknown_camera_models_are_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(InputError, match="--camera-model FAST: is none of"):
-        reconstruct(photos_of(tmp_path), tmp_path / "out", SfmOptions(camera_model="FAST"), Lines())
-    assert not (tmp_path / "out").exists()
-
-
-def test_check_points_need_control_points(tmp_path):
-    result = clsplat_("sfm", photos_of(tmp_path), "-o", tmp_path / "out", "--check-point", "P1")
-    assert result.exit_code == 2 and "give their file with --gcp" in result.output
-    assert not (tmp_path / "out").exists()
-
-
 def test_what_is_kept_belongs_to_the_same_photos_and_options(tmp_path):
     photos, _ = find_photos(photos_of(tmp_path))
     (tmp_path / "scene").mkdir()
@@ -165,15 +100,6 @@ def test_what_is_kept_belongs_to_the_same_photos_and_options(tmp_path):
         with pytest.raises(InputError, match="of other photos or with other options"):
             kept.open(others, options, False)
     assert not kept.open(photos[:2], {"matching": "auto"}, True) and not kept.database.exists()
-
-
-def test_what_a_killed_removal_left_is_not_used(tmp_path):
-    """Without a state, nobody knows of which photos the features are."""
-    photos, _ = find_photos(photos_of(tmp_path))
-    kept = Unfinished(tmp_path)
-    kept.folder.mkdir()
-    kept.database.write_bytes(b"features of other photos")
-    assert not kept.open(photos, {"matching": "auto"}, False) and not kept.database.exists()
 
 
 def test_mapping_is_kept(tmp_path):
@@ -215,17 +141,6 @@ def test_train_makes_a_scene_of_photos_once(tmp_path, monkeypatch):
     result = clsplat_("train", photos, "-o", run)
     assert result.exit_code == 2
     assert f"was made of 3 photos of {photos}, which now has 4; remove it" in result.output
-
-
-def saved(path, pixels, **attributes):
-    """Write a JPEG with EXIF."""
-    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, oiio.UINT8)
-    spec.attribute("Compression", "jpeg:97")
-    for name, value in attributes.items():
-        spec.attribute(name, value)
-    output = oiio.ImageOutput.create(str(path))
-    assert output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels))
-    assert output.close()
 
 
 def copied_city(folder, count=12):
@@ -316,38 +231,3 @@ def test_control_points_take_out_the_bending(tmp_path):
                    for whole in (scene, truth))
     away = found + scene.georeference.offset - true - (500_000, NORTHING, 100)
     assert np.linalg.norm(away, axis=1).max() < 0.4
-
-
-@pytest.mark.slow
-def test_mixed_photos(tmp_path):
-    """Two cameras in subfolders, portraits that EXIF turns, a copy, a blurred photo, and one of
-    another place."""
-    truth = read_scene(CITY)
-    (tmp_path / "in/wide").mkdir(parents=True)
-    (tmp_path / "in/tele").mkdir()
-    for index, view in enumerate(truth.views[:12]):
-        pixels = read_image(view.source)
-        turns, orientation = {2: (1, 6), 3: (3, 8)}.get(index, (0, 1))  # counter-clockwise
-        name = f"wide/{index:02d}.jpg" if index < 7 else f"tele/{index:02d}.jpg"
-        saved(tmp_path / "in" / name, np.rot90(pixels, turns) if index < 7 else
-              pixels[20:220, 40:280], Orientation=orientation)
-    shutil.copy(tmp_path / "in/wide/05.jpg", tmp_path / "in/wide/05 copy.jpg")
-    saved(tmp_path / "in/tele/elsewhere.jpg", picture(200, 240, seed=3))
-    folder_of(tmp_path / "in", ["grey.jpg"], size=(320, 240))
-    progress = Lines()
-    record = reconstruct(tmp_path / "in", tmp_path / "out", SfmOptions(), progress)
-    assert record["registered"] == 13 and len(record["cameras"]) == 3
-    assert record["not_registered"] == {
-        "grey.jpg": "has only 0 features: it is blurred or shows hardly any detail",
-        "tele/elsewhere.jpg": "matches no other photo"}
-    assert progress.phases[-1] == "global mapping"  # nothing to gain from another one
-    shutil.rmtree(tmp_path / "in")
-    views = {view.name: view for view in read_scene(tmp_path / "out").views}
-    pairs = [(view.camera, views[name].camera.turned(views[name].quarter_turns))
-             for index, view in enumerate(truth.views[:12])
-             for name in (f"wide/{index:02d}.jpg", f"tele/{index:02d}.jpg") if name in views]
-    true, found = (np.array([camera.position for camera in cameras]) for cameras in zip(*pairs))
-    similarity = fitted(found, true)
-    assert np.linalg.norm(similarity(found) - true, axis=1).max() < 0.03 * np.ptp(true)
-    for camera, other in pairs:  # portraits stand upright
-        assert np.allclose(similarity.rotation @ other.rotation.T, camera.rotation.T, atol=0.1)

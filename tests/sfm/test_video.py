@@ -6,7 +6,6 @@ from scipy.ndimage import gaussian_filter
 
 from clsplat.errors import InputError
 from clsplat.io.photos.images import read_image
-from clsplat.sfm import video
 from clsplat.sfm.video import check_video, extract_frames, sharpness
 from tests.sfm.cases import Lines, picture
 
@@ -57,32 +56,3 @@ def test_what_is_not_a_video_is_refused(tmp_path):
     check_video(tmp_path / "a.mp4")
     with pytest.raises(InputError, match="no such file"):
         check_video(tmp_path / "b.mp4")
-
-
-def test_a_missing_library_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(video, "av", None)
-    with pytest.raises(InputError, match=r"pip install av"):
-        check_video(tmp_path / "a.mp4")
-
-
-def test_there_are_never_more_frames_than_asked_for(tmp_path, monkeypatch):
-    """Where the file does not say how many it has."""
-    film(tmp_path / "a.mkv", [picture(128, 160)] * 12)  # Matroska counts no frames
-    monkeypatch.setattr(video, "_frames_by_time", lambda container, stream: 0)
-    extract_frames(tmp_path / "a.mkv", tmp_path / "frames", 3, Lines())
-    assert len(list((tmp_path / "frames").iterdir())) == 3
-
-
-def test_frames_of_a_killed_command_are_not_taken_for_those_of_an_earlier_one(tmp_path,
-                                                                             monkeypatch):
-    film(tmp_path / "a.mp4", [picture(128, 160)] * 12)
-    extract_frames(tmp_path / "a.mp4", tmp_path / "frames", 6, Lines())
-
-    def killed(path, pixels, quality):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr(video, "write_image", killed)
-        extract_frames(tmp_path / "a.mp4", tmp_path / "frames", 3, Lines())
-    extract_frames(tmp_path / "a.mp4", tmp_path / "frames", 6, Lines())
-    assert len(list((tmp_path / "frames").iterdir())) == 6

@@ -10,12 +10,10 @@ from clsplat.scene import Scene, View
 from clsplat.stereo.dense_points import (
     SPARSE,
     Points,
-    _numbered,
     dense_points,
     merge,
     stereo_views,
 )
-from tests.covisibility.test_source_views import circle
 from tests.kernels.test_sweep import DEPTH, cameras_of, photo_of
 
 SLANT = 0.1  # of the plane that `photo_of` shows
@@ -69,18 +67,6 @@ def test_photos_that_do_not_fit_the_device_together(item_device, scene, photos, 
     assert done == [1, 2, 3, 4, 5, 6]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("together", [1, 4])
-def test_points_of_a_few_photos_are_merged_before(item_device, scene, photos, monkeypatch,
-                                                  together):
-    """Then a cell still holds the mean of its points, each counted once."""
-    first = dense_points(item_device, scene, scene.views, photos, MANY)
-    monkeypatch.setattr(stereo_module, "PHOTOS_TOGETHER", together)
-    found = dense_points(item_device, scene, scene.views, photos, MANY)
-    assert np.allclose(found[0], first[0], atol=1e-9)
-    assert (np.abs(found[1] - first[1].astype(int)) <= 1).all()  # a mean is rounded
-
-
 def test_a_plane_that_faces_an_axis_keeps_its_points(item_device, scene, photos):
     """Sparse points without any extent along one axis say little of what lies beside them."""
     turn = np.arctan(SLANT)
@@ -91,19 +77,6 @@ def test_a_plane_that_faces_an_axis_keeps_its_points(item_device, scene, photos)
     flat = replace(scene, views=tuple(turned), points=scene.points @ rotation.T)
     assert np.ptp(flat.points[:, 2]) < 1e-9
     positions, _ = dense_points(item_device, flat, flat.views, photos, MANY)
-    assert len(positions) > 3 * len(scene.points)
-
-
-@pytest.mark.slow
-def test_no_more_than_are_wanted(item_device, scene, photos):
-    positions, _ = dense_points(item_device, scene, scene.views, photos, 300)
-    assert 200 < len(positions) <= 300
-    assert np.median(on_plane(positions)) < 0.002
-
-
-def test_scenes_without_observations(item_device, scene, photos):
-    bare = replace(scene, observations=None)
-    positions, _ = dense_points(item_device, bare, scene.views, photos, MANY)
     assert len(positions) > 3 * len(scene.points)
 
 
@@ -127,12 +100,6 @@ def test_photos_that_share_nothing_leave_the_sparse_points(item_device, scene, p
     positions, colours = dense_points(item_device, alone, alone.views, photos, MANY)
     assert 0.9 * len(scene.points) < len(positions) <= len(scene.points)  # some share a cell
     assert np.allclose(on_plane(positions), 0, atol=1e-9) and (colours == 9).all()
-
-
-def test_two_views_are_too_few_to_compare():
-    assert stereo_views(circle(0, 10), circle(0, 10).views) == [[], []]
-    three = circle(0, 10, 20)
-    assert [sorted(each) for each in stereo_views(three, three.views)] == [[1, 2], [0, 2], [0, 1]]
 
 
 def points_at(positions, merged=1, size=0.01):
@@ -182,9 +149,3 @@ def test_near_places_get_small_cells():
     far = merged.positions[:, 2] > 5
     assert 0.8 < far.sum() / (~far).sum() < 1.25 and 350 < len(far) <= 500
     assert 4e12 > merge(points_at([[0, 0, 0], [1e12, 1, 1]]), 5).positions.max() > 9e11
-
-
-@pytest.mark.parametrize("most", [1, 3, 2**50])
-def test_cells_are_numbered_in_the_order_of_their_keys(most):
-    keys = np.random.default_rng(0).integers(0, most, 2000)
-    assert np.array_equal(_numbered(keys), np.unique(keys, return_inverse=True)[1])

@@ -15,11 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from clsplat.cli.main import main
-from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians
-from clsplat.io.models.ply import read_ply
-from clsplat.io.photos.images import read_image, write_image
-from clsplat.io.runs.run import RunFolder
+from clsplat.io.photos.images import write_image
 from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 from clsplat.io.scenes.read import read_scene
 from tests.data.tiny_model import HEIGHT, WIDTH, reconstruction, write_scene
@@ -167,14 +163,6 @@ def test_a_sphere_wants_neighbours(tmp_path):
     assert clsplat(*words).exit_code == 0
 
 
-@pytest.mark.slow
-def test_grey_photos_are_widened(tmp_path):
-    folder = write_scene(tmp_path / "town")
-    write_image(folder / "images/photo_2.png", NOISE[..., :1])
-    assert clsplat("train", folder, "-o", tmp_path / "run", *TRAIN).exit_code == 0
-    assert (tmp_path / "run/point_cloud.ply").is_file()
-
-
 @pytest.mark.parametrize("parent", ["a file", "/proc"])
 def test_output_that_cannot_be_written(tmp_path, healthy, parent):
     """Root may write anywhere but there."""
@@ -276,36 +264,3 @@ def test_resuming_what_cannot_be(tmp_path, healthy, finished):
     assert content(run) == spoilt
     (run / "checkpoint.npz").unlink()
     refused(*resume, naming=("checkpoint.npz", "no checkpoint"))
-
-
-def test_large_coordinates_keep_their_digits(tmp_path):
-    utm = np.array([512345.678, 5212345.123, 431.5])
-    plain = read_scene(write_scene(tmp_path / "plain"))
-    folder = write_scene(tmp_path / "far", moved(reconstruction(), lambda x: x + utm))
-    far = read_scene(folder)
-    assert np.abs(far.points - plain.points).max() < 1e-8
-    assert np.abs(far.offset - plain.offset - utm).max() < 1e-8
-
-
-def test_spoilt_run(tmp_path):
-    run = RunFolder.create(tmp_path / "run")
-    run.write_options({"scene": "town"})
-    run.save_checkpoint({"a": np.arange(999.0)}, {"iteration": 3})
-    run.save_model(Gaussians.from_points(np.eye(3), np.zeros((3, 3), np.uint8)), np.zeros(3))
-    for name, read in (("options.json", run.read_options), ("checkpoint.npz", run.load_checkpoint),
-                       ("point_cloud.ply", run.load_model)):
-        cut(run.path / name, 0.6)
-        with pytest.raises(InputError, match=name) as caught:
-            read()
-        assert "\n" not in str(caught.value) and ";" in str(caught.value)
-
-
-def test_files_of_the_wrong_kind(tmp_path):
-    for name in ("a.npz", "a.ply", "a.txt"):
-        (tmp_path / name).write_bytes(bytes(range(256)) * 4)
-    for read, name in ((read_scene, "a.npz"), (read_scene, "a.txt"), (read_ply, "a.ply"),
-                       (read_image, "a.txt"), (RunFolder.create, "a.txt"),
-                       (RunFolder.open, "a.txt")):
-        with pytest.raises(InputError, match=name) as caught:
-            read(tmp_path / name)
-        assert "\n" not in str(caught.value) and ";" in str(caught.value)

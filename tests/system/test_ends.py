@@ -39,14 +39,6 @@ def test_a_report_that_cannot_be_drawn_costs_nothing_else(
     assert len(records(run, "eval")) == 1
 
 
-def test_a_report_that_finds_the_disk_full_is_an_error_and_the_model_is_there(
-        whole, item_device, city, tmp_path, monkeypatch):
-    monkeypatch.setattr(finish, "write_report", broken(InputError("report.html: disk full")))
-    with pytest.raises(InputError, match="disk full"):
-        trained(tmp_path / "run", city, item_device, **OPTIONS)
-    assert model_digest(RunFolder(tmp_path / "run")) == model_digest(whole)
-
-
 @pytest.mark.parametrize("moment, error", [
     ("evaluate_views", KeyboardInterrupt()), ("evaluate_views", InputError("a photo is gone")),
     ("draw_report", KeyboardInterrupt()), ("save_model", KeyboardInterrupt())], ids=repr)
@@ -74,14 +66,6 @@ def test_ctrl_c_before_the_first_step_says_how_to_go_on(
     monkeypatch.undo()
     run = resumed(RunFolder(tmp_path / "run"), city, item_device, **OPTIONS)
     assert model_digest(run) == model_digest(whole)
-
-
-def test_an_interrupt_that_became_another_error_can_go_on(
-        item_device, city, tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluator, "evaluate_views", broken(SystemError("no exception set")))
-    monkeypatch.setattr(loop, "was_interrupted", lambda error: True)
-    with pytest.raises(Interrupted):
-        trained(tmp_path / "run", city, item_device, **OPTIONS)
 
 
 def test_a_run_that_moved_with_its_scene(whole, city, tmp_path):

@@ -1,7 +1,6 @@
 """Same seed and device, same bytes: however often a run is stopped, killed or interrupted."""
 
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -124,24 +123,6 @@ def test_crashed_and_resumed(item_device, city, tmp_path, whole, monkeypatch):
 
 
 @pytest.mark.slow
-def test_killed_right_after_a_checkpoint(item_device, city, tmp_path, monkeypatch):
-    """The step's own record was written before."""
-    whole = trained(tmp_path / "whole", city, item_device, stop_at=101)
-    save = RunFolder.save_checkpoint
-
-    def save_and_die(run, *arguments):
-        save(run, *arguments)
-        raise RuntimeError("killed")
-
-    with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="killed"):
-        patch.setattr(RunFolder, "save_checkpoint", save_and_die)
-        trained(tmp_path / "run", city, item_device, checkpoint_every=100)
-    run = RunFolder.open(tmp_path / "run")
-    resumed(run, city, item_device, stop_at=101)
-    assert history(run) == history(whole)
-
-
-@pytest.mark.slow
 def test_a_stopped_run_says_how_to_go_on_and_is_not_finished(item_device, city, tmp_path):
     run = RunFolder.create(tmp_path / "run")
     with pytest.raises(Interrupted, match=f"^stopped after step 30; .* --resume -o {run.path}$"):
@@ -170,37 +151,7 @@ def test_other_ways_to_train_resume_as_well(item_device, city, tmp_path, options
             for name, each in corrected.items())
 
 
-@pytest.mark.slow
-def test_a_resumed_run_needs_no_initial_file(item_device, city, tmp_path, whole):
-    start = tmp_path / "start.ply"
-    shutil.copy(whole.path / "point_cloud.ply", start)
-    run = trained(tmp_path / "run", city, item_device, init=str(start), stop_at=5)
-    start.unlink()
-    resumed(run, city, item_device, init=str(start), stop_at=6)
-
-
-@pytest.mark.slow
-def test_time_goes_on(item_device, city, tmp_path):
-    run = trained(tmp_path / "run", city, item_device, stop_at=110)
-    before = records(run, "step")[-1]
-    resume(city, options_of(), item_device, run)
-    after = records(run, "eval")[-1]
-    for key in ("train_seconds", "wall_seconds"):
-        assert after[key] > before[key] > 0
-
-
 # --- schedules that look at what they train
-
-@pytest.mark.slow
-def test_the_levelled_run_is_eventful(levelled):
-    """Or the stops below would meet nothing."""
-    level, = records(levelled, "level")
-    assert level["reason"] == "converged" and 20 < level["iteration"] < 80
-    grown = {record["level"]: record for record in records(levelled, "grow")}
-    assert set(grown) == {2.0, 1.0}
-    assert all(record["cloned"] + record["split"] > 100 for record in grown.values())
-    assert sum(record["pruned"] for record in records(levelled, "grow")) > 0
-
 
 @pytest.mark.slow
 def test_levels_stopped_and_resumed(item_device, city, tmp_path, levelled):
@@ -211,15 +162,6 @@ def test_levels_stopped_and_resumed(item_device, city, tmp_path, levelled):
     stops = (grown[0] - 1, grown[0], grown[0] + 3, level, level + 1, finest - 1)
     run = trained(tmp_path / "run", city, item_device, **LEVELLED, stop_at=stops[0])
     for stop in (*stops[1:], 0):
-        resumed(run, city, item_device, **LEVELLED, stop_at=stop)
-    assert model_digest(run) == model_digest(levelled)
-    assert history(run) == history(levelled)
-
-
-@pytest.mark.slow
-def test_levels_stopped_again_and_again(item_device, city, tmp_path, levelled):
-    run = trained(tmp_path / "run", city, item_device, **LEVELLED, stop_at=1)
-    for stop in (*range(8, LEVELLED["iterations"], 11), 0):
         resumed(run, city, item_device, **LEVELLED, stop_at=stop)
     assert model_digest(run) == model_digest(levelled)
     assert history(run) == history(levelled)
@@ -261,15 +203,6 @@ def test_another_scene_is_refused(item_device, city, tmp_path):
     (run.path / "checkpoint.npz").write_bytes((foreign.path / "checkpoint.npz").read_bytes())
     with pytest.raises(InputError, match="run: its checkpoint is of another scene; put back"):
         resume(city, options_of(), item_device, run)
-
-
-def test_a_checkpoint_that_lacks_something_is_refused(item_device, city, tmp_path):
-    run = trained(tmp_path / "run", city, item_device, stop_at=2)
-    arrays, state = run.load_checkpoint()
-    for name in ("row.positions", "m.quaternions", "v.sh_rest", "statistics.seen_count"):
-        run.save_checkpoint({key: array for key, array in arrays.items() if key != name}, state)
-        with pytest.raises(InputError, match=f"run: its checkpoint lacks a good '{name}'"):
-            resume(city, options_of(), item_device, run)
 
 
 def test_a_broken_training_keeps_its_checkpoint(item_device, city, tmp_path, monkeypatch):

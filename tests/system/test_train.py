@@ -1,25 +1,20 @@
 """Training on the sample city: it learns, grows as promised, and records what it does."""
 
-import time
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import plyfile
 import pytest
 
 from clsplat.io.models.ply import read_ply
 from clsplat.io.runs.run import RunFolder
 from clsplat.loss.exposure import Exposures
-from clsplat.scene import Scene, View
-from clsplat.training import evaluator, loop
+from clsplat.training import loop
 from clsplat.training.frequency import AXES, VARIANTS
 from clsplat.training.initialise import initial_gaussians
-from clsplat.training.session import Session
 from clsplat.training.step import Step
 from tests.data.tiny_training import (
     CITY,
-    LEVELLED,
     STILL,
     options_of,
     records,
@@ -119,47 +114,10 @@ def test_antialiased(item_device, city, tmp_path):
         assert f"comment SplatRenderMode: {mode}\n".encode() in header
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("degree", [0, 1])
-def test_lower_degrees(item_device, city, tmp_path, degree):
-    run = trained(tmp_path / "run", city, item_device, sh_degree=degree, sh_every=10)
-    model = read_ply(run.path / "point_cloud.ply")
-    assert model.sh_degree == degree
-    assert degree == 0 or np.abs(model.sh_rest).max() > 0
-
-
 def test_harmonics_stay_at_zero_until_their_degree(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, **STILL, iterations=30, sh_every=20)
     rest = read_ply(run.path / "point_cloud.ply").sh_rest
     assert rest[:, :3].any() and not rest[:, 3:].any()
-
-
-@pytest.mark.slow
-def test_a_trained_model_is_a_good_start(item_device, city, tmp_path):
-    first = trained(tmp_path / "first", city, item_device, **STILL, iterations=150)
-    again = trained(tmp_path / "again", city, item_device, **STILL, iterations=1,
-                    init=str(first.path / "point_cloud.ply"))
-    assert records(again, "step")[0]["loss"] < 0.5 * records(first, "step")[0]["loss"]
-
-
-@pytest.mark.slow
-def test_large_coordinates_cost_nothing(item_device, city, tmp_path):
-    """The same scene with its origin 5000 km away: same losses, and the model lies out there."""
-    far_away = np.array([5.123456e6, -4.9e6, 3e5])
-    far = Scene(city.name, tuple(View(v.name, v.camera.shifted(-city.offset - far_away), v.source)
-                                 for v in city.views),
-                city.points + city.offset + far_away, city.colours, path=city.path).recentred()
-    runs = [trained(tmp_path / name, scene, item_device, **STILL, iterations=100)
-            for name, scene in (("near", city), ("far", far))]
-    losses = [[record["loss"] for record in records(run, "step")] for run in runs]
-    assert np.allclose(*losses, rtol=2e-3)
-    assert abs(psnr_of(runs[0]) - psnr_of(runs[1])) < 0.05
-    places = [np.stack([plyfile.PlyData.read(run.path / "point_cloud.ply")["vertex"][axis]
-                        .astype(float) for axis in "xyz"], axis=1) for run in runs]
-    moved = places[1] - places[0] - far_away
-    assert np.median(np.abs(moved)) < 1e-4 and np.abs(moved).max() < 0.01 * city.extent
-    local = [read_ply(run.path / "point_cloud.ply").positions for run in runs]
-    assert np.median(np.abs(local[0] - local[1])) < 1e-4
 
 
 # --- evaluations and records
@@ -219,22 +177,6 @@ def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path,
 
 
 @pytest.mark.slow
-def test_evaluation_is_not_training(item_device, city, tmp_path, monkeypatch):
-    def slow(*_, **__):
-        time.sleep(0.5)
-        return {**dict.fromkeys("views psnr ssim psnr_cc ssim_cc flip".split(), 1), "per_view": []}
-
-    monkeypatch.setattr(evaluator, "evaluate_views", slow)
-    begin = time.perf_counter()
-    run = trained(tmp_path / "run", city, item_device, **STILL, iterations=30, eval_every=10,
-                  checkpoint_every=7)
-    total = time.perf_counter() - begin
-    last = records(run, "eval")[-1]
-    assert 0 < last["train_seconds"] <= last["wall_seconds"] - 1.49
-    assert 1.5 <= last["wall_seconds"] <= total
-
-
-@pytest.mark.slow
 def test_records_carry_what_reports_read(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, eval_every=50)
     every = run.records()
@@ -284,28 +226,6 @@ def test_levels_and_frequencies_are_recorded(levelled):
     assert later["convergence"] is None  # at the finest level nothing is judged
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("schedule", ["constant", "sig"])
-def test_frequencies_are_recorded_every_hundred_steps(item_device, city, tmp_path, schedule):
-    run = trained(tmp_path / "run", city, item_device, **STILL, schedule=schedule, iterations=210)
-    assert {record["iteration"]: record["frequency"] and len(record["frequency"])
-            for record in records(run, "step")} == {1: None, 100: 9, 200: 9}
-
-
-@pytest.mark.slow
-def test_a_level_change_clears_the_statistics(item_device, city):
-    """Gradients at another size are others."""
-    made = Session.build(city, options_of(**LEVELLED), item_device)
-    statistics, plan = made.step.statistics, made.schedule.plan(1)
-    made.step.run(1, plan, [made.sample(0, 1, plan)])
-    assert made.level == plan.level == 2.0 and not made.use_level(2.0)
-    assert statistics.seen_count.download().any() and statistics.grad_norm_sum.download().any()
-    assert made.use_level(1.0)
-    assert not statistics.seen_count.download().any()
-    assert not statistics.grad_norm_sum.download().any()
-    made.photos.close()
-
-
 def test_the_run_knows_how_it_was_made(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, **STILL, iterations=30, seed=3)
     options = run.read_options()
@@ -313,13 +233,6 @@ def test_the_run_knows_how_it_was_made(item_device, city, tmp_path):
     assert options["scene_absolute"] == str(CITY) and len(options["fingerprint"]) == 64
     assert options["opencl_device"] == item_device.name and options["kernel_form"] == "item"
     assert {"version", "commit", "extent", "offset"} <= set(options)
-
-
-@pytest.mark.slow
-def test_steps_are_scaled(item_device, city, tmp_path):
-    run = trained(tmp_path / "run", city, item_device, steps_scale=0.5)
-    assert [record["iteration"] for record in records(run, "grow")] == [21, 31, 41, 51]
-    assert evaluated(run) == [75]
 
 
 def test_progress_is_told(item_device, city, tmp_path):
@@ -348,13 +261,3 @@ def test_progress_is_told(item_device, city, tmp_path):
     assert len(Progress.messages) == 1 and lines[0] == "scores of 4 held-out photos"
     assert lines[1].split() == ["step", "PSNR,", "dB", "SSIM", "gaussians", "training"]
     assert lines[2].split()[0] == "60" and "FLIP" in lines[2] and max(map(len, lines)) < 80
-
-
-@pytest.mark.slow
-def test_eight_evaluations_by_default(item_device, city, tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluator, "EVALUATION_SHARE", 1e9)
-    run = trained(tmp_path / "all", city, item_device, **STILL, iterations=30, eval_every="auto")
-    assert evaluated(run) == [4, 8, 12, 15, 19, 23, 27, 30]
-    monkeypatch.setattr(evaluator, "EVALUATION_SHARE", 0.0)
-    run = trained(tmp_path / "few", city, item_device, **STILL, iterations=30, eval_every="auto")
-    assert evaluated(run) == [4, 30]  # what the first takes is not known before

@@ -3,8 +3,6 @@
 import json
 import re
 import subprocess
-from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -45,27 +43,6 @@ def test_one_command_makes_the_tables_and_repeats_nothing(tmp_path, monkeypatch,
     assert (tmp_path / "cities.md").read_text() == page
 
 
-@pytest.mark.slow
-def test_several_devices_make_the_same_model(tmp_path, monkeypatch):
-    monkeypatch.setattr(cities, "STEPS_A_STREET", 10)
-    monkeypatch.setattr(cities, "DIVIDED", (2, 32, "64x48"))
-    monkeypatch.setattr(cities, "DIVIDED_STEPS", 20)
-    cities.main([str(tmp_path), *TINY, "--tables", "devices", "--devices", "cpu,cpu", "--",
-                 "--init", "sfm", "--sh-degree", "0", "--starved", "join"])
-    rows = [line.strip("| ").split(" | ")
-            for line in (tmp_path / "cities.md").read_text().splitlines() if line.startswith("|")]
-    assert [row[0] for row in rows[2:]] == ["one", "as many as share it (`--workers auto`)"]
-    for _, one, several, ratio, cc, same in rows[2:]:
-        assert float(ratio) == pytest.approx(float(one) / float(several), rel=0.05)
-        assert cc == same and float(cc) > 5
-    words = {(name, *words): set(words) for name, words in (
-        (json.loads(line)["name"], json.loads(line)["words"])
-        for line in (tmp_path / "cities.jsonl").read_text().splitlines())}
-    workers = {key[0]: "--workers" in chosen for key, chosen in words.items()}
-    assert workers == {"kernels": False, "device-alone": True, "devices-alone": True,
-                       "device-shared": False, "devices-shared": False}
-
-
 @pytest.mark.parametrize("words, needs", [
     (["--tables", "devices"], "--tables devices: needs --devices"),
     (["--tables", "area", "one-run", "--no-compared"], "--tables one-run: needs a SCENE")])
@@ -73,24 +50,6 @@ def test_a_table_needs_what_it_is_about(tmp_path, monkeypatch, words, needs):
     monkeypatch.setattr(cities, "subprocess", None)  # nothing is started
     with pytest.raises(InputError, match=needs):
         cities.main([str(tmp_path), *words])
-
-
-def test_what_fails_is_tried_again(tmp_path, monkeypatch):
-    started = []
-
-    def run(command, check):
-        command, *words = command[3:]
-        started.append(command)
-        if command == "synth":
-            Path(words[1]).mkdir()
-        return SimpleNamespace(returncode=2 if command == "city" else 0)
-    monkeypatch.setattr(cities, "subprocess", SimpleNamespace(run=run))
-    words = [str(tmp_path), *TINY]
-    for _ in range(2):
-        with pytest.raises(InputError, match="kernels, .*area-1x1, .*area-2x2: failed .* again"):
-            cities.main(words)
-    assert started == ["synth", "city", "city", "synth", "city"] + 3 * ["city"]
-    assert "| whole command, s | - | - |" in (tmp_path / "cities.md").read_text()
 
 
 @pytest.mark.parametrize("words", [["--seeds", "0"], ["--streets", "2", "0"]])

@@ -1,18 +1,16 @@
 """The judge of schedules: which runs it makes, what it keeps, and what its page says."""
 
-import json
-import shlex
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from clsplat.errors import InputError, Interrupted
+from clsplat.errors import InputError
 from clsplat.io.scenes.read import read_scene
 from clsplat.io.scenes.write import write_scene
 from tests.data.tiny_training import CITY
 from tools.studies import judge
-from tools.studies.judge_page import Compared, Division, Result, time_to, write_page
+from tools.studies.judge_page import Compared, Division, Result, time_to
 
 BASE = {"sig": 31.0, "constant": 30.0, "mcmc": 29.0}  # dB of a made-up run, at offset 0 and seed 0
 
@@ -87,17 +85,6 @@ def test_every_set_division_seed_and_schedule_once(tmp_path, sets, trainings, ca
     assert [o["rounds"] for o in trainings.options[24:]] == [5] * 8
 
 
-def test_an_interrupt_ends_the_study(tmp_path, sets, trainings):
-    """It is no failed run, after which the next one would begin."""
-    def interrupted(options):
-        raise Interrupted("stopped after step 3")
-
-    trainings.fails = interrupted
-    with pytest.raises(Interrupted):
-        judged(tmp_path, sets, "-n", "10", "--seeds", "1", "--offsets", "0")
-    assert len(trainings.options) == 1
-
-
 def test_the_page_says_how_they_compare(tmp_path, sets, trainings):
     rows, page = judged(tmp_path, sets, *SMALL, "--chosen", "one:0,two")
     assert "Choices were made on: one (offsets 0); two (offsets 0, 3)." in page
@@ -136,12 +123,6 @@ def test_a_seed_that_a_column_lacks_does_not_move_the_others(tmp_path, sets, tra
     assert "| sig | 4 | 28.65 |" in page  # (31 + 31.3 + 26 + 26.3) / 4, of the first seed
 
 
-def test_columns_with_equal_flags_are_one_run(tmp_path, sets, trainings):
-    rows, _ = judged(tmp_path, sets, *SMALL, "--with", "again: --schedule sig")
-    assert len(trainings.options) == 24
-    assert rows["one", "sig"][2:] == rows["one", "again"][2:]
-
-
 @pytest.mark.slow
 def test_parts_and_calls_are_merged(tmp_path, sets, trainings, monkeypatch):
     for number in (1, 2):
@@ -175,17 +156,6 @@ def test_what_cannot_be_is_refused_before_any_training(tmp_path, sets, trainings
     assert not trainings.options and not list(tmp_path.iterdir())
 
 
-def test_where_there_are_no_sets(tmp_path, sets):
-    with pytest.raises(InputError, match="no such scene"):
-        judge.scenes_of([str(sets / "three")])
-    with pytest.raises(InputError, match="neither a scene nor a folder of scenes"):
-        judge.scenes_of([str(tmp_path)])
-    with pytest.raises(InputError, match="two sets have this name"):
-        judge.scenes_of([str(sets), str(sets / "one")])
-    assert [scene.name for scene in judge.scenes_of([f"{sets}:2", str(CITY)])] == [
-        "one-r2", "two-r2", "city"]
-
-
 def of_curve(name, curve, seed=0):
     return Result(name, Division("set", 100, 0, seed), {
         "psnr_cc": curve[-1][2], "train_seconds": curve[-1][1], "curve": curve})
@@ -197,18 +167,3 @@ def test_the_time_to_the_end_of_the_baseline():
     compared = Compared([slow, fast])
     assert compared.of_set("fast", time_to("slow")) == {"set": pytest.approx(np.log(0.3))}
     assert compared.of_set("slow", time_to("fast")) == {}  # never
-
-
-def test_a_page_without_results(tmp_path):
-    write_page(tmp_path / "judge.md", "constant", [], [], [], 9)
-    assert "0 of 9 runs" in (tmp_path / "judge.md").read_text()
-
-
-@pytest.mark.slow
-def test_a_real_judgement(tmp_path, sets):
-    _, page = judged(tmp_path, sets / "one", *shlex.split(
-        "-n 6 --offsets 0,3 --seeds 1 --schedules constant,mcmc -- --sh-degree 0"))
-    assert "4 of 4 runs" in page and "### Against constant" in page
-    results = [json.loads(line) for line in (tmp_path / "results.jsonl").open()]
-    assert [r["options"]["test_offset"] for r in results] == [0, 0, 3, 3]
-    assert all(10 < r["psnr_cc"] < 60 and r["views"] == 4 for r in results)

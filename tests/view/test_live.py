@@ -3,14 +3,11 @@
 import http.client
 import json
 import threading
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from clsplat.api.run import Run
-from clsplat.estimate.trial_steps import sampled
 from clsplat.evaluation.streamed import Streaming
 from clsplat.evaluation.views import render_view
 from clsplat.export.page import view_record
@@ -131,30 +128,6 @@ def test_a_frame_that_cannot_be_drawn_harms_nothing(item_device, city, tmp_path,
     assert model_digest(run) == model_digest(plain)
 
 
-def test_frames_take_no_more_than_their_share(city, monkeypatch):
-    view, now = TrainingView(city), [100.0]
-    monkeypatch.setattr(live.time, "perf_counter", lambda: now[0])
-    assert not view.is_due()  # nobody asks
-    view._requests.add(FrameRequest(city.views[0].camera))
-    assert view.is_due()
-
-    class Session:
-        step = property(lambda self: self)
-
-        def release(self):
-            now[0] += 2.0  # what the frame takes
-            raise KeyboardInterrupt
-    with pytest.raises(KeyboardInterrupt):  # an error of the training stays one
-        view.draw(Session())
-    view._drawn_until, view._seconds = now[0], 2.0
-    view._requests.add(FrameRequest(city.views[0].camera))
-    now[0] += 5.9
-    assert not view.is_due()
-    now[0] += 0.2
-    assert view.is_due()
-    view._server.__enter__().__exit__(None, None, None)
-
-
 def test_a_run_is_shown_as_its_model_is_rendered(item_device, city, tmp_path):
     """So is its tree, without the model."""
     folder = RunFolder.create(tmp_path / "run")
@@ -201,30 +174,6 @@ def shown_on_a_page(run, device, streaming, camera, middle):
             show_run(run, device, lambda address: threading.Thread(
                 target=ask, args=(address,), daemon=True).start(), streaming=streaming)
     return answers
-
-
-def test_a_page_goes_on_after_a_frame_that_cannot_be_drawn(city, monkeypatch):
-    requests = [FrameRequest(city.views[0].camera) for _ in range(2)]
-    waiting = iter([*requests, KeyboardInterrupt])
-
-    def next_one(*_):
-        request = next(waiting, None)
-        if request is KeyboardInterrupt:
-            raise KeyboardInterrupt
-        return request
-
-    def no_memory(*_):
-        raise MemoryError("too large")
-    model = sampled(city, 9, 0)
-    folder = SimpleNamespace(has_model=True, load_model=lambda: model)
-    run = SimpleNamespace(folder=folder, options=options_of(near=1.0), first_view=city.first_view,
-                          up=city.up, path=Path("run"), record={}, scene=lambda _: city)
-    monkeypatch.setattr(live, "open_model", lambda *_: (None, None))
-    monkeypatch.setattr(FrameRequest, "draw", no_memory)
-    monkeypatch.setattr(live.FrameRequests, "next", next_one)
-    with pytest.raises(KeyboardInterrupt):
-        show_run(run, None, lambda _: None)
-    assert all("MemoryError: too large" in request.problem for request in requests)
 
 
 SERVER = """<head><script>
