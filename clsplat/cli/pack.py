@@ -20,10 +20,10 @@ from clsplat.cli.flags import FiniteRange
 @click.option("--images", default="", help="Folder of the photos, relative to SCENE; default: as "
               "for `clsplat train`.")
 def pack(scene: Path, output: Path, downscale: float, images: str) -> None:
-    """Copy SCENE of any format into a folder with a COLMAP model and all that a training needs.
+    """Copy SCENE of any format into a folder that has all it needs.
 
-    It can be carried to another machine. The geometry of a synthetic city is copied with it, for
-    `clsplat eval`.
+    It is a COLMAP model with its photos, masks and depth maps, which can be carried to another
+    machine. The geometry of a synthetic city is copied with it, for `clsplat eval`.
     """
     from clsplat.io.folders import new_folder
     from clsplat.io.scenes.read import read_scene

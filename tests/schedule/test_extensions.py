@@ -92,51 +92,28 @@ def test_no_command_imports_a_schedule_that_it_does_not_name(package, tmp_path, 
 
 FAILS = {  # what a module says -> what the one line says
     "import sys\nsys.exit(0)\n": "does not load (SystemExit: 0)",
-    "import argparse\nargparse.ArgumentParser().parse_args()\n": "does not load (SystemExit: 2)",
     "raise RuntimeError('no\\nsuch thing')\n": "does not load (RuntimeError: no such thing)",
-    "import nowhere_at_all\n": "No module named 'nowhere_at_all'",
-    "class S(:\n": "does not load (SyntaxError: invalid syntax",
-    "T = 3\n": "has no attribute 'S'",
     "S = 3\n": "is not a subclass of clsplat.Schedule",
-    "class S:\n    pass\n": "is not a subclass of clsplat.Schedule",
-    "class E(Exception):\n    def __str__(self):\n        return 1 / 0\nraise E\n":
-        "does not load (E)",
-    "class E(BaseException):\n    pass\nraise E('mine')\n": "does not load (E: mine)",
-    BASE + "    Options = 3\n": "is not a frozen dataclass of options",
-    BASE + "    class Options:\n        pass\n": "is not a frozen dataclass of options",
     "from dataclasses import dataclass\nfrom clsplat import option\n@dataclass(frozen=True)\n"
     "class O:\n    seed: int = option(0, 'Run', 'mine')\n" + BASE + "    Options = O\n":
         "names seed, which clsplat has",
     BASE + "    defaults = {'nonsense': 1}\n": "unknown option 'nonsense'",
-    BASE + "    defaults = 3\n": "defaults of module:S",
-    BASE + "    parts = None\n" + PLAN: "parts of module:S",
     BASE + "    levels = (2.0, 'a')\n" + PLAN: "levels of module:S",
-    BASE + "    selection = 'nonsense'\n" + PLAN: "selection of module:S",
-    BASE + "    observe_every = 0\n" + PLAN: "observe_every of module:S",
-    BASE + "    levels = (0.0,)\n" + PLAN: "levels of module:S",
     BASE + "    def __init__(self, *all):\n        raise ValueError('wrong')\n" + PLAN:
         "__init__ of module:S (package others) failed (ValueError: wrong)",
-    BASE + "    pass\n": "plan of module:S (package others) failed (NotImplementedError)",
-    BASE + "    def plan(self, iteration):\n        import sys\n        sys.exit(0)\n":
-        "plan of module:S (package others) failed (SystemExit: 0)",
     BASE + "    def plan(self, iteration):\n        return None\n": "returned None, not a clsplat",
     BASE + PLAN.replace("level=1.0", "level=0.0"): "plan of module:S (package others) failed "
         "(ValueError: level 0.0",
-    BASE + PLAN.replace("degree=0", "degree=9"): "failed (ValueError: degree 9",
-    BASE + PLAN.replace("decay=0.0", "decay=float('nan')"): "failed (ValueError: decay nan",
-    BASE + "    @classmethod\n    def grows_every(cls, options):\n        return 1 // 0\n" + PLAN:
-        "grows_every of module:S (package others) failed (ZeroDivisionError",
 }
 
 
 @pytest.mark.parametrize("text", FAILS)
-@pytest.mark.one_in(9)
+@pytest.mark.one_in(4)
 def test_what_fails_in_a_schedule_of_others_is_one_line_that_names_it(package, text):
     done = package(text, "x = module:S")(*TINY, "--schedule", "x")
     *before, line = done.stderr.splitlines()
     assert done.returncode == 2 and FAILS[text] in line, done.stderr
-    if "argparse" not in text:  # which prints its own usage
-        assert not any("error: " in each or "Traceback" in each for each in before)
+    assert not any("error: " in each or "Traceback" in each for each in before)
 
 
 @pytest.mark.one_in(3)

@@ -1,5 +1,6 @@
 """The judge of schedules: which runs it makes, what it keeps, and what its page says."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -30,7 +31,8 @@ def trainings(monkeypatch):
     """The options of each training, which ends at once."""
     started = SimpleNamespace(options=[], fails=lambda options: False)
 
-    def train(scene, output, *, device, overwrite, **options):
+    def train(scene, given, *, output, device, overwrite):
+        options = dataclasses.asdict(given)
         started.options.append({"set": scene.name, **options})
         if started.fails(options):
             raise InputError("it cannot be")
