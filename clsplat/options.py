@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,10 +21,13 @@ from clsplat.loss.options import (
     ReprojectOptions,
     RobustOptions,
 )
+from clsplat.loss.registry import REGISTERED as PARTS
+from clsplat.loss.registry import PartOptions
 from clsplat.optimise.options import OptimiseOptions, PoseOptions
 from clsplat.rendering.options import RenderingOptions
 from clsplat.schedule.mcmc import McmcOptions
-from clsplat.schedule.registry import OURS, others, own_options, schedule_of
+from clsplat.schedule.registry import OURS, others, schedule_of
+from clsplat.schedule.registry import REGISTERED as SCHEDULES
 from clsplat.schedule.sig import SigOptions
 from clsplat.schedule.steps import PUBLISHED_LENGTH, chooses_steps
 from clsplat.schedule.taming import TamingOptions
@@ -107,7 +111,7 @@ class ScheduledOptions(TamingOptions, McmcOptions, GrowthOptions, SigOptions, Op
 
 @dataclass(frozen=True)
 class TrainOptions(PoseOptions, DepthOptions, RobustOptions, ExposureOptions, RegulariseOptions,
-                   SceneOptions, ScheduledOptions):
+                   SceneOptions, PartOptions, ScheduledOptions):
     """Everything that decides a training; defaults are those of Kerbl et al. (2023).
 
     Its bases are the groups that concerns and parts declare. A function takes the group that it
@@ -115,10 +119,13 @@ class TrainOptions(PoseOptions, DepthOptions, RobustOptions, ExposureOptions, Re
     """
 
 
-def options_with(*schedules: str) -> type[TrainOptions]:
-    """TrainOptions with the own options of those schedules that other packages register."""
-    groups = tuple(dict.fromkeys(
-        own for name in schedules if name not in OURS and (own := own_options(name, TrainOptions))))
+def options_with(*schedules: str, parts: Iterable[str] = ()) -> type[TrainOptions]:
+    """TrainOptions with the own options of schedules and parts that other packages register."""
+    found = [SCHEDULES.own_options(name, schedule_of(name).Options, TrainOptions)
+             for name in schedules if name not in OURS]
+    found += [PARTS.own_options(name, getattr(PARTS.load(name), "Options", None), TrainOptions)
+              for name in parts]
+    groups = tuple(dict.fromkeys(filter(None, found)))
     return dataclasses.make_dataclass(TrainOptions.__name__, [], bases=(*groups, TrainOptions),
                                       frozen=True) if groups else TrainOptions
 
@@ -128,22 +135,25 @@ def checked(source: str, key: str, value: Any, kind: type = TrainOptions) -> Any
     return declared.checked(kind, source, key, value)
 
 
-def checked_values(source: str, values: dict[str, Any], *schedules: str) -> dict[str, Any]:
+def checked_values(source: str, values: dict[str, Any], *schedules: str,
+                   parts: Iterable[str] = ()) -> dict[str, Any]:
     """The checked values of options, by name; InputError, which begins with `source`, for others.
 
     Parameters
     ----------
-    values : option -> value; the schedule among them adds its own options.
-    schedules : names of schedules whose options are allowed as well.
+    values : option -> value; the schedule and the parts among them add their own options.
+    schedules, parts : names of more of them whose options are allowed.
     """
     name = checked(source, "schedule", values.get("schedule", TrainOptions.schedule))
-    kind = options_with(name, *schedules)
+    named = checked(source, "add_parts", values.get("add_parts", TrainOptions.add_parts))
+    kind = options_with(name, *schedules, parts=(*named, *parts))
     return {key: checked(source, key, value, kind) for key, value in values.items()}
 
 
-def from_toml(path: str | os.PathLike[str], *schedules: str) -> dict[str, Any]:
-    """The options of a training in a TOML file; `schedules` as for `checked_values`."""
-    return checked_values(str(path), toml.table(path), *schedules)
+def from_toml(path: str | os.PathLike[str], *schedules: str, parts: Iterable[str] = ()
+              ) -> dict[str, Any]:
+    """The options of a training in a TOML file; `schedules` and `parts` as for `checked_values`."""
+    return checked_values(str(path), toml.table(path), *schedules, parts=parts)
 
 
 def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOptions:
@@ -154,7 +164,7 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
     """
     given = checked_values("", {**file_values, **flag_values})
     name = given.get("schedule", TrainOptions.schedule)
-    kind = options_with(name)
+    kind = options_with(name, parts=given.get("add_parts", ()))
     chosen = kind(**given)
     values = checked_values(f"defaults of the schedule {name}", schedule_of(name).defaults, name)
     for known in options_of(kind):
@@ -169,7 +179,7 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
 
 EARLIER = {"vignetting": "off"}  # what runs did that do not record an option
 # options of earlier versions -> the value that is what runs do now
-REMOVED = {"tone": "off", "moments": "float", "split_size": 0.01}
+REMOVED = {"tone": "off", "moments": "float", "split_size": 0.01, "free_space": 0.0}
 
 
 def recorded(record: dict[str, Any]) -> TrainOptions:
@@ -180,7 +190,8 @@ def recorded(record: dict[str, Any]) -> TrainOptions:
             raise InputError(f"options.json: {name} {record[name]} was removed; train "
                              "the run again without it")
     schedule = checked("options.json", "schedule", record.get("schedule", TrainOptions.schedule))
-    known = {option.name for option in options_of(options_with(schedule))
+    parts = checked("options.json", "add_parts", record.get("add_parts", TrainOptions.add_parts))
+    known = {option.name for option in options_of(options_with(schedule, parts=parts))
              if serves(option, schedule)}
     return resolve(checked_values("options.json", {
         name: value for name, value in record.items() if name in known}), {})

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import click
 from click.core import ParameterSource
@@ -25,12 +25,13 @@ from clsplat.config.option import (
 )
 from clsplat.config.toml import table
 from clsplat.errors import InputError
+from clsplat.loss.registry import REGISTERED as PARTS
 from clsplat.options import TrainOptions, from_toml, options_with
 from clsplat.schedule.registry import OURS, others
 
 LEAST_HOST_BYTES = 16 << 20
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
-SCHEDULES = "clsplat.schedules"  # in a context's `meta`: those of other packages that are named
+OTHERS = "clsplat.others"  # in a context's `meta`: the `Others` that are named
 NAMES = {int: "INTEGER", float: "FLOAT", str: "TEXT"}
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -139,7 +140,7 @@ class TrainingCommand(SectionedCommand):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments, by the flags of the schedules among them as well."""
-        ctx.meta[SCHEDULES] = () if ctx.resilient_parsing else _others_named(args)
+        ctx.meta[OTHERS] = Others() if ctx.resilient_parsing else _others_named(args)
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
@@ -147,11 +148,13 @@ class TrainingCommand(SectionedCommand):
             if name in {option.name for option in options_of(TrainOptions)}:
                 raise InputError(f"{error.option_name}: is a key of the file of --config and no "
                                  f"flag; write {name} = VALUE there") from None
-            if not others() or ctx.meta[SCHEDULES]:
+            ways = [*([f"--schedule {' or '.join(others())}"] if others() else []),
+                    *([f"add_parts of {' or '.join(PARTS.others)} in the file of --config"]
+                      if PARTS.others else [])]
+            if not ways or ctx.meta[OTHERS] != Others():
                 raise
-            raise click.UsageError(f"{error.format_message()} The flags of a schedule of another "
-                                   f"package need --schedule {' or '.join(others())}.", ctx
-                                   ) from None
+            raise click.UsageError(f"{error.format_message()} The flags of another package need "
+                                   f"{', or '.join(ways)}.", ctx) from None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the sections; --help-all ends with the keys that are no flags."""
@@ -165,8 +168,9 @@ class TrainingCommand(SectionedCommand):
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """The parameters of the command; the same objects in each call."""
         every = SHOW_ALL in ctx.meta
-        if (key := f"{SCHEDULES}.{every}") not in ctx.meta:
-            kind = options_with(*(_loading_others() if every else ctx.meta.get(SCHEDULES, ())))
+        if (key := f"{OTHERS}.{every}") not in ctx.meta:
+            named = _loading_others() if every else ctx.meta.get(OTHERS, Others())
+            kind = options_with(*named.schedules, parts=named.parts)
             own = {option.name for option in options_of(TrainOptions)}
             ctx.meta[key] = [SectionedOption(names, **settings) for names, settings in (
                 _flag(option) for option in options_of(kind)
@@ -174,27 +178,38 @@ class TrainingCommand(SectionedCommand):
         return [*ctx.meta[key], *super().get_params(ctx)]
 
 
-def _others_named(args: list[str]) -> tuple[str, ...]:
-    """The schedules of other packages that arguments name, or a TOML file among them."""
+class Others(NamedTuple):
+    """Names of schedules and parts of other packages."""
+
+    schedules: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
+
+
+def _others_named(args: list[str]) -> Others:
+    """Those that arguments name, or a TOML file among them."""
     words = [part for word in args for part in word.split("=", 1)]
-    named: list[object] = []
+    schedules, parts = list[object](), list[object]()
     for flag, value in zip(words, words[1:]):
         if flag in ("--schedule", "--schedules"):
-            named += value.split(",")
+            schedules += value.split(",")
         elif flag == "--config":
             with suppress(InputError):  # reported where it is read
-                named.append(table(value).get("schedule", ""))
-    return tuple(name for name in named
-                 if isinstance(name, str) and name not in OURS and name in others())
+                file = table(value)
+                schedules.append(file.get("schedule", ""))
+                parts += file["add_parts"] if isinstance(file.get("add_parts"), list) else []
+    return Others(tuple(name for name in schedules
+                        if isinstance(name, str) and name not in OURS and name in others()),
+                  tuple(name for name in parts if isinstance(name, str) and name in PARTS.others))
 
 
-def _loading_others() -> list[str]:
-    """The schedules of all other packages; those that do not load are named, and left out."""
-    loading = []
-    for name in others():
+def _loading_others() -> Others:
+    """Those of all other packages; the ones that do not load are named, and left out."""
+    loading = Others()
+    for found in (*(Others((name,)) for name in others()),
+                  *(Others((), (name,)) for name in PARTS.others)):
         try:
-            options_with(name)
-            loading.append(name)
+            options_with(*found.schedules, parts=found.parts)
+            loading = Others(loading.schedules + found.schedules, loading.parts + found.parts)
         except InputError as error:
             click.echo(f"warning: {error}", err=True)
     return loading
@@ -275,7 +290,8 @@ def check_free(output: Path, overwrite: bool) -> None:
 
 def given_options(ctx: click.Context, kind: type | None = None) -> dict[str, Any]:
     """The options of a dataclass, by name, that the user gave as flags; None: of a training."""
-    kind = kind or options_with(*ctx.meta.get(SCHEDULES, ()))
+    named = ctx.meta.get(OTHERS, Others())
+    kind = kind or options_with(*named.schedules, parts=named.parts)
     return {option.name: ctx.params[option.name] for option in options_of(kind)
             if option.name in ctx.params
             and ctx.get_parameter_source(option.name) is not ParameterSource.DEFAULT}
@@ -284,7 +300,8 @@ def given_options(ctx: click.Context, kind: type | None = None) -> dict[str, Any
 def config_options(ctx: click.Context) -> dict[str, Any]:
     """The options of a training, by name, in the file of --config."""
     config: Path | None = ctx.params["config"]
-    return from_toml(config, *ctx.meta[SCHEDULES]) if config else {}
+    named = ctx.meta[OTHERS]
+    return from_toml(config, *named.schedules, parts=named.parts) if config else {}
 
 
 def _flag(option: Option) -> tuple[list[str], dict[str, Any]]:

@@ -195,11 +195,12 @@ def _check_text(text: str) -> None:
 def parsed(option: Option, text: str) -> Any:
     """Parse a text of the command line without checking limits; ValueError for what is no value."""
     kind, count = kind_of(option)
-    if kind is str or text in option.metadata["words"]:
-        return option.metadata["words"].get(text, text)
+    if text in option.metadata["words"]:
+        return option.metadata["words"][text]
     if count == 0:
         return kind(text)
-    return tuple(kind(part) for part in text.lower().split(option.metadata["separator"] or ","))
+    text = text if kind is str else text.lower()
+    return tuple(kind(part) for part in text.split(option.metadata["separator"] or ","))
 
 
 def check_flag(option: Option, value: Any) -> Any:

@@ -1,24 +1,34 @@
 """Schedules by name: our own, and those that other packages register as entry points."""
 
-import dataclasses
+import math
+from collections.abc import Callable
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
+from typing import Any
 
-from clsplat.config.option import options_of
+from clsplat.config.plug_in import CORRECT, Group, clean, guarded
 from clsplat.errors import InputError
-from clsplat.schedule.plan import Schedule
-from clsplat.schedule.plug_in import CORRECT, clean, guarded, load, source_of
+from clsplat.schedule.plan import Plan, Schedule
 
 GROUP = "clsplat.schedules"  # of entry points: NAME = MODULE:SUBCLASS_OF_SCHEDULE
 OURS = {name: EntryPoint(name, f"clsplat.schedule.{name}:{name.title()}", GROUP)
         for name in ("sig", "constant", "dash", "taming", "mcmc")}
+REGISTERED = Group(GROUP, "schedule", "clsplat.Schedule", OURS)
+SELECTIONS = "threshold", "highest", "score", "relocation"
+# of a schedule: what each must be, in words and as a function of the value
+ATTRIBUTES: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "levels": ("a tuple of numbers of at least 1", lambda levels: isinstance(levels, (tuple, list))
+               and bool(levels) and all(isinstance(level, (int, float)) and 1 <= level < math.inf
+                                        for level in levels)),
+    "parts": ("a frozenset of names", lambda parts: isinstance(parts, (set, frozenset))),
+    "defaults": ("a dict", lambda defaults: isinstance(defaults, dict)),
+    "selection": (f"one of {', '.join(SELECTIONS)}", lambda name: name in SELECTIONS),
+    "observe_every": ("a whole number of at least 1", lambda n: isinstance(n, int) and n > 0)}
 
 
-@cache  # reading what every installed package registers takes 15 ms
 def others() -> dict[str, EntryPoint]:
     """The schedules that other packages of this environment register."""
-    return {entry.name: entry for entry in sorted(entry_points(group=GROUP))
-            if entry.name not in OURS}
+    return REGISTERED.others
 
 
 def offered(schedule: type[Schedule]) -> str:
@@ -45,32 +55,26 @@ def schedule_of(name: str) -> type[Schedule]:
 
     InputError if no package registers it, or it does not load.
     """
+    schedule: type[Schedule]
     if name in OURS:
-        schedule: type[Schedule] = OURS[name].load()
+        schedule = OURS[name].load()
         return schedule
-    if name not in others():
-        raise InputError(f"{name}: no package registers it in {GROUP}; install the one that does "
-                         "in this environment")
-    entry = others()[name]
-    return guarded(load(entry), name, source_of(entry))
+    loaded = REGISTERED.load(name)
+    if not issubclass(loaded, Schedule):
+        REGISTERED.refuse_base(name)
+    label, source = f"--schedule {name}", REGISTERED.source(name)
+    for attribute, (wanted, is_right) in ATTRIBUTES.items():
+        value = getattr(loaded, attribute)
+        if not (isinstance(value, property) or is_right(value)):
+            raise InputError(f"{label}: {attribute} of {source} is {clean(repr(value))}, not "
+                             f"{wanted}; {CORRECT}")
 
+    def check(method: str, result: Any) -> None:
+        if method == "plan" and not isinstance(result, Plan):
+            raise InputError(f"{label}: plan of {source} returned {clean(repr(result))}, not a "
+                             f"clsplat.Plan; {CORRECT}")
 
-def own_options(name: str, taken: type) -> type | None:
-    """The dataclass of a schedule's own options, or None.
-
-    InputError if it is no frozen dataclass of options, or if `taken` has an option of that name.
-    """
-    own = schedule_of(name).Options
-    if own is None:
-        return None
-    cure = f"{name}: Options of {source_of(others()[name])}"
-    try:
-        names = [option.name for option in options_of(own)]
-        twice = [option for option in names if hasattr(taken, option)]
-        dataclasses.make_dataclass("Options", [], bases=(own, taken), frozen=True)
-    except (TypeError, AttributeError) as error:
-        raise InputError(f"{cure} is not a frozen dataclass of options ({clean(str(error))}); "
-                         f"{CORRECT}") from error
-    if twice:
-        raise InputError(f"{cure} names {', '.join(twice)}, which clsplat has; {CORRECT}")
-    return own
+    methods = [method for method, value in vars(Schedule).items()
+               if callable(value) or isinstance(value, classmethod)]
+    schedule = guarded(loaded, methods, label, source, check)
+    return schedule

@@ -21,6 +21,7 @@ from clsplat.training.session import Session
 Arrays = dict[str, NDArray[Any]]
 Saved = tuple[Arrays, dict[str, Any]]  # the arrays and the state of a checkpoint
 
+KINDS = "row", "m", "v", "adam", "statistics"  # of the arrays that no part has
 REALS = (np.float32, np.float64)  # precisions of devices
 NUMBER = (int, float)
 # key of the state -> (types, least value of a number)
@@ -81,6 +82,10 @@ class Checkpoint:
     def load(self, arrays: Arrays, state: dict[str, Any]) -> None:
         """Restore all but the rows; KeyError names what the checkpoint lacks."""
         session, step = self.session, self.session.step
+        known = {*KINDS, *(part.name for part in session.parts)}
+        if lacking := sorted({name.partition(".")[0] for name in arrays} - known):
+            raise InputError(f"{self.run.path}: was trained with the part {lacking[0]}; resume it "
+                             "with that too")
         session.use_level(state["level"])
         step.model.adam.upload(_fields(arrays, "m", LEARNED), _fields(arrays, "v", LEARNED))
         step.model.adam.load_lag({name: arrays[f"adam.{name}"] for name in LAG},

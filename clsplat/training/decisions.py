@@ -31,7 +31,7 @@ from clsplat.training.facts import scene_facts
 from clsplat.training.initialise import planned_initial
 from clsplat.training.model import DEVICE_SHARE, model_bytes
 from clsplat.training.part import Decision, Survey, requested
-from clsplat.training.parts import PARTS
+from clsplat.training.parts import PARTS, registered_part
 from clsplat.training.photos import decoded, with_side
 
 SAMPLED_PHOTOS = 64
@@ -88,7 +88,8 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     length, most = _steps(scene, len(views), options, facts)
     options = scaled_steps(dataclasses.replace(options, iterations=length.value))
     survey = Survey(scene, views, options, functools.partial(_small_photos, views))
-    of_parts = {name: decision for part in PARTS for name, decision in part.decide(survey).items()}
+    of_parts = {name: decision for part in (*PARTS, *map(registered_part, options.add_parts))
+                for name, decision in part.decide(survey).items()}
     spread = view_spread(scene, scene.views)  # held-out views must be served, too
     limit = Decision(*schedule.planned_limit(options, facts))
     compared = functools.cache(lambda: stereo_views(scene, views))

@@ -1,22 +1,28 @@
 """Parts of a training: what a step asks of them, and parts that a training is given."""
 
+import importlib.util
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from clsplat.errors import InputError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Plan
-from clsplat.training.loop import train
+from clsplat.training.loop import resume, train
 from clsplat.training.model import Model
 from clsplat.training.part import FrameGradient, Part, TrainingSample, overriding
 from clsplat.training.parts import PARTS
 from clsplat.training.parts.image_term import ImageTerm
 from clsplat.training.step import Step
 from tests import cases
-from tests.data.tiny_training import CITY, STILL, options_of, records
+from tests.data.tiny_training import CITY, STILL, model_digest, options_of, records
 from tests.kernels.chain import camera_of, size_of
 
 PLAN = Plan(1.0, 1, gathers=True, grows=False, resets_opacity=False, prunes_large=False, decay=0.5)
@@ -182,3 +188,28 @@ def test_parts_have_names_of_their_own_and_use_every_hook():
     assert len(set(names)) == len(names) and not any("." in name for name in names)
     parts = [part() for part in PARTS]
     assert [hook for hook in hooks if not overriding(parts, hook)] == []
+
+
+@pytest.mark.slow
+def test_the_example_learns_and_resumes_to_the_same_bytes(item_device, tmp_path):
+    spec = importlib.util.spec_from_file_location(
+        "learned_scale", Path(__file__).parents[2] / "docs/examples/learned_scale.py")
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    city, options = read_scene(CITY), options_of(**STILL, iterations=60, exposure="off")
+
+    def run(name, *parts, **changes):
+        folder = RunFolder.create(tmp_path / name)
+        with suppress(Interrupted):
+            train(city, replace(options, **changes), item_device, folder, parts=parts)
+        return folder
+
+    whole, plain = run("whole", example.CauchyLoss(0.3)), run("plain")
+    assert model_digest(whole) != model_digest(plain)
+    log_scale, *_, steps = whole.load_checkpoint()[0]["cauchy.learned"]
+    assert steps == 60 and abs(log_scale - np.log(0.1)) > 0.1
+    part = run("part", example.CauchyLoss(0.3), stop_at=25)
+    with pytest.raises(InputError, match="was trained with the part cauchy; resume it with that"):
+        resume(city, options, item_device, part)
+    resume(city, options, item_device, part, parts=[example.CauchyLoss(0.3)])
+    assert model_digest(part) == model_digest(whole)

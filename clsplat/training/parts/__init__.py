@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from clsplat.config.plug_in import guarded, overridden
+from clsplat.loss.registry import REGISTERED
 from clsplat.training.part import Part
 from clsplat.training.parts.backdrop import Backdrop
 from clsplat.training.parts.depth_maps import DepthMaps
@@ -34,5 +36,17 @@ def parts_of(prepared: PreparedScene, given: Iterable[Part] = ()) -> list[Part]:
     prepared : the scene and its options.
     given : more of them; one with the name of another takes its place.
     """
-    own = (kind() for kind in PARTS if kind.is_used(prepared))
-    return list({part.name: part for part in (*own, *given)}.values())
+    registered = [registered_part(name) for name in prepared.options.add_parts]
+    own = [kind() for kind in (*PARTS, *registered) if kind.is_used(prepared)]
+    parts = {part.name: part for part in (*own, *given)}
+    return list(parts.values())
+
+
+def registered_part(name: str) -> type[Part]:
+    """The class of a part that another package registers; InputError if it does not load."""
+    kind = REGISTERED.load(name)
+    if not issubclass(kind, Part):
+        REGISTERED.refuse_base(name)
+    methods = ["__init__", *overridden(kind, Part)]
+    part: type[Part] = guarded(kind, methods, f"the part {name}", REGISTERED.source(name))
+    return part

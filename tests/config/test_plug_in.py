@@ -1,4 +1,4 @@
-"""Schedules of other packages, by entry points."""
+"""Schedules and parts of other packages, by entry points."""
 
 import json
 import os
@@ -23,16 +23,16 @@ TINY = ("train", CITY, "-n", "4", "-r", "8", "-o", "run", "-q", "--test-every", 
 
 @pytest.fixture
 def package(tmp_path):
-    """A function that makes a package `others` of a module's text, which registers schedules; the
-    result runs the command line beside it."""
+    """A function that makes a package `others` of a module's text, which registers entries of a
+    group; the result runs the command line beside it."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(tmp_path)))}
 
-    def install(text, entries):
+    def install(text, entries, group="clsplat.schedules"):
         (tmp_path / "module.py").write_text(text)
         info = tmp_path / "others-1.dist-info"
         info.mkdir(exist_ok=True)
         (info / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1\n")
-        (info / "entry_points.txt").write_text(f"[clsplat.schedules]\n{entries}\n")
+        (info / "entry_points.txt").write_text(f"[{group}]\n{entries}\n")
 
         def run(*words, start=subprocess.run, **settings):
             settings = settings or {"capture_output": True, "check": False}
@@ -69,7 +69,7 @@ def test_a_schedule_in_one_file(package, tmp_path):
     assert json.loads((tmp_path / "third/options.json").read_text())["half_share"] == 0.75
     done = clsplat("train", CITY, "--half-share", "0.25", "-o", "fourth")
     assert done.returncode == 2 and done.stderr.count("\n") == 1
-    assert "--half-share" in done.stderr and ("The flags of a schedule of another package need "
+    assert "--half-share" in done.stderr and ("The flags of another package need "
                                               "--schedule halves.") in done.stderr
     (tmp_path / "others-1.dist-info" / "entry_points.txt").write_text("")
     gone = clsplat("eval", "run", "--no-images")
@@ -143,3 +143,53 @@ def test_a_schedule_that_hangs_is_named_and_so_is_what_ctrl_c_ended(package):
         "loading schedule 'x': module:S (package others) ...", "",
         "interrupted while schedule 'x' was loaded: module:S (package others); what was saved is "
         "kept: give the same command again"]
+
+
+# --- parts
+
+LIGHT = "from clsplat import Part\nclass P(Part):\n    name = 'p'\n"
+PART_FAILS = {
+    "import sys\nsys.exit(0)\n": "x: module:P (package others) does not load (SystemExit: 0)",
+    "P = 3\n": "is not a subclass of clsplat.Part",
+    "class P:\n    pass\n": "is not a subclass of clsplat.Part",
+    LIGHT + "    Options = 3\n": "is not a frozen dataclass of options",
+    LIGHT + "    def __init__(self):\n        1 / 0\n":
+        "the part x: __init__ of module:P (package others) failed (ZeroDivisionError",
+    LIGHT + "    @classmethod\n    def decide(cls, survey):\n        1 / 0\n": "decide of module:P",
+    LIGHT + "    def inputs(self, now, sample):\n        return {'rate': now.progress}\n"
+            "    def add_to(self, work, inputs):\n        return min(inputs['rate'], 1)\n":
+        "add_to of module:P (package others) failed (TypeError: a replay changes the number p.rate",
+    LIGHT + "    def add_to(self, work, inputs):\n        work.photo.download()\n":
+        "failed (RuntimeError: a recording must not wait",
+}
+
+
+@pytest.mark.parametrize("text", PART_FAILS)
+@pytest.mark.one_in(4)
+def test_what_fails_in_a_part_of_others_is_one_line_that_names_it(package, tmp_path, text):
+    (tmp_path / "parts.toml").write_text("add-parts = ['x']")
+    done = package(text, "x = module:P", "clsplat.parts")(*TINY, "--config", "parts.toml")
+    assert done.returncode == 2 and PART_FAILS[text] in done.stderr.splitlines()[-1], done.stderr
+
+
+@pytest.mark.slow
+def test_a_part_in_one_file(package, tmp_path):
+    """Its own flag, its records and its state; nothing imports it unless it is named."""
+    clsplat = package(RECORD + (ROOT / "docs/examples/learned_scale.py").read_text(),
+                      "cauchy = module:CauchyLoss", "clsplat.parts")
+    assert clsplat(*TINY).returncode == 0 and not (tmp_path / "imported").exists()
+    (tmp_path / "parts.toml").write_text("add-parts = ['cauchy']")
+    done = clsplat(*TINY, "--overwrite", "--config", "parts.toml", "--cauchy-weight", "0.3",
+                   "--stop-at", "2")
+    assert done.returncode == 130, done.stderr
+    done = clsplat("train", "--resume", "-o", "run", "-q")
+    assert done.returncode == 0, done.stderr
+    options = json.loads((tmp_path / "run/options.json").read_text())
+    assert options["add_parts"] == ["cauchy"] and options["cauchy_weight"] == 0.3
+    records = [json.loads(line) for line in (tmp_path / "run/metrics.jsonl").open()]
+    assert any(0 < record.get("cauchy_scale", 0) < 0.2 for record in records)
+    done = clsplat("train", CITY, "--cauchy-weight", "0.3", "-o", "other")
+    assert done.returncode == 2 and "need add_parts of cauchy in the" in done.stderr
+    (tmp_path / "parts.toml").write_text("add-parts = ['nothing']")
+    done = clsplat("train", CITY, "--config", "parts.toml", "-o", "other")
+    assert done.returncode == 2 and "(cauchy), not 'nothing'" in done.stderr
