@@ -39,13 +39,6 @@ def save_json(table, path):
     path.write_text(json.dumps(table, default=lambda value: value.tolist()))
 
 
-def save_torch(table, path):
-    import torch
-
-    torch.save({key: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
-                for key, value in table.items()}, path)
-
-
 def name(old):
     """A Mega-NeRF folder of every fourth photo of the city, numbered in order."""
     part = "val" if old in HELD_OUT else "train"
@@ -81,13 +74,6 @@ def test_without_held_out_photos_and_with_the_model_of_the_poses(tmp_path, city)
     scene = read_scene(folder)
     assert scene.held_out is None and {view.source.suffix for view in scene.views} == {".JPG"}
     np.testing.assert_allclose(world_points(scene), world_points(city)[:300], atol=1e-9)
-
-
-def test_what_pytorch_writes(tmp_path, city):
-    pytest.importorskip("torch", reason="PyTorch is not installed; it is no dependency")
-    write_mega_nerf(tmp_path, city, HELD_OUT, save_torch, dtype=np.float32)
-    subprocess.run([sys.executable, ROOT / "docs/examples/from_mega_nerf.py", tmp_path], check=True)
-    assert_same_cameras(read_scene(tmp_path), city, name, tolerance=1e-6)
 
 
 def test_a_folder_that_is_not_converted_is_refused_with_the_command(tmp_path, city):

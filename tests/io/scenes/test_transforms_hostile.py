@@ -90,13 +90,6 @@ def test_each_coefficient_is_used_or_refused(table, frame, model):
     assert (lens and lens[0]) == model
 
 
-@pytest.mark.parametrize("frame", [[], None, 7, "a", {}])
-def test_frames_that_are_none(tmp_path, city, frame):
-    table = write_transforms(tmp_path, city)
-    with pytest.raises(InputError, match="frame 1 is damaged"):
-        read_scene(changed(tmp_path, table, frames=[table["frames"][0], frame]))
-
-
 @pytest.mark.parametrize("change, words", [
     (lambda m: np.transpose(m), "is it transposed"), (lambda m: np.multiply(m, 2), "not 0 0 0 1"),
     (lambda m: m[:3], ""), (lambda m: [*m[:3], [0, 0, 0, None]], "not 0 0 0 1"),
@@ -112,18 +105,3 @@ def test_matrices_that_are_no_pose(tmp_path, city, change, words):
         return
     with pytest.raises(InputError, match=f"frame 0 is damaged .*{words}"):
         read_scene(folder)
-
-
-@pytest.mark.parametrize("value", [0, "", [], {}, True, "opencv"])
-def test_camera_models_that_are_none(tmp_path, city, value):
-    table = write_transforms(tmp_path, city)
-    with pytest.raises(InputError, match="frame 0 .*camera_model is "):
-        read_scene(changed(tmp_path, table, camera_model=value))
-
-
-@pytest.mark.parametrize("key", ["fl_x", "fl_y"])
-@pytest.mark.parametrize("distortion", [0, 0.1])
-def test_a_negative_focal_length_mirrors_nothing(tmp_path, city, key, distortion):
-    table = write_transforms(tmp_path, city)
-    with pytest.raises(InputError, match="focal length"):
-        read_scene(changed(tmp_path, table, k1=distortion, **{key: -200}))

@@ -132,15 +132,3 @@ def test_coefficients_that_a_model_has_not(kind, key):
     with pytest.raises(ValueError, match=f"the camera model {kind} has no coefficient {key}"):
         _optics(camera, (640, 480))
     _optics({**camera, key: 0}, (640, 480))
-
-
-@pytest.mark.parametrize("change", [
-    {"focal_x": -0.8}, {"focal_y": -0.8}, {"focal_x": 0}, {"projection_type": "spherical"},
-    {"projection_type": None}, {"projection_type": []}, {"projection_type": "fisheye624"},
-    {"width": 0}, {"height": -36}, {"k1": "0.1a"}, {"c_x": 1e300}])
-def test_cameras_that_are_none(tmp_path, scene, change):
-    table = write_opensfm(tmp_path, scene)
-    table["cameras"]["v2 made"] |= change
-    (tmp_path / "reconstruction.json").write_text(json.dumps([table]))
-    with pytest.raises(InputError):
-        read_scene(tmp_path)
