@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pyproj
 import pytest
 from click.testing import CliRunner
 
@@ -60,7 +61,6 @@ def test_crop(tmp_path, model):
 
 
 def test_geojson_in_every_crs(tmp_path, model):
-    pyproj = pytest.importorskip("pyproj", reason="the extra [geo] is not installed")
     x, y, _ = (model.positions + model.offset).T
     ring = np.array([[100.0, 200], [900, 200], [900, 900], [100, 900]]) + PLACE.offset[:2]
     to_degrees = pyproj.Transformer.from_crs("EPSG:32633", "OGC:CRS84", always_xy=True)

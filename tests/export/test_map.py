@@ -52,7 +52,6 @@ def corner_pixels(pixels):
 
 @pytest.fixture(scope="module")
 def house(item_device, tmp_path_factory):
-    pytest.importorskip("pyproj", reason="pyproj is not installed (extra geo)")
     folder = tmp_path_factory.mktemp("map")
     return folder, *drawn(item_device, folder)
 
@@ -157,7 +156,6 @@ def test_faint_ground_has_the_colour_of_the_training(item_device, tmp_path):
 
 @pytest.mark.slow
 def test_a_map_in_another_system_lies_at_the_same_places(item_device, tmp_path):
-    pytest.importorskip("pyproj", reason="pyproj is not installed (extra geo)")
     scene = made.scene()
     wanted = "EPSG:25832"  # the neighbouring zone: turned by degrees against the scene's
     other = reprojection_of(made.UTM.crs, wanted)

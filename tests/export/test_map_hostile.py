@@ -43,7 +43,6 @@ REFUSED = [
 @pytest.fixture
 def mapped(tmp_path, monkeypatch):
     """A function of words, and of the georeference of the scene."""
-    pytest.importorskip("pyproj", reason="pyproj is not installed (extra geo)")
 
     def call(words, place=made.UTM):
         monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(place)))

@@ -4,6 +4,7 @@ import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 import rasterio.shutil
@@ -60,7 +61,6 @@ CODELESS = {
 @pytest.mark.one_in(5)
 def test_a_crs_without_a_code_is_read_back_equal(tmp_path, text):
     """By GDAL from the GeoTIFF, and by laspy from the LAZ."""
-    pyproj = pytest.importorskip("pyproj", reason="pyproj is not installed (extra geo)")
     laspy = pytest.importorskip("laspy", reason="laspy is not installed (extra geo)")
     crs = map_crs(text)
     check_crs(crs)

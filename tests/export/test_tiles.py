@@ -1,6 +1,7 @@
 import json
 
 import numpy as np
+import pyproj
 import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -186,7 +187,6 @@ def test_tiles_stand_upright():
 
 @pytest.mark.parametrize("compressed", [False, True])
 def test_on_the_earth(tmp_path, compressed):
-    pyproj = pytest.importorskip("pyproj", reason="the extra [geo] is not installed")
     place = Georeference("EPSG:32633", (465_000.0, 5_800_000.0, 50.0), "", 0.0)
     model = cloud(50, offset=(100.0, 200.0, 10.0))
     _, tiles = written(tmp_path, tile_tree(model, limit=60), place, compressed)

@@ -1,7 +1,6 @@
 """Coordinate reference systems (CRS): their names, and the conversion between them.
 
-Only this module knows pyproj, an optional library (the extra `[geo]`). The names of UTM zones and
-of WGS 84 are known without it.
+Only this module uses pyproj, which takes a tenth of a second to import and is seldom needed.
 """
 
 from __future__ import annotations
@@ -31,18 +30,8 @@ WEB_MERCATOR = "1024"  # EPSG's code of its projection
 SHOWN = 60  # characters of a CRS in a message
 LONGEST_DEFINITION = 20_000  # characters of a CRS
 EXAMPLE = "give one such as EPSG:32632, which is UTM zone 32 north"
-CURE = "install it with `pip install pyproj`"
 
 Conversion = Callable[[ArrayLike], NDArray[np.float64]]
-
-
-def has_pyproj() -> bool:
-    """Whether pyproj is installed."""
-    try:
-        _pyproj("")
-    except InputError:
-        return False
-    return True
 
 
 def normal_crs(text: str, name: str = "--crs") -> str:
@@ -55,14 +44,12 @@ def normal_crs(text: str, name: str = "--crs") -> str:
 
     Raises
     ------
-    InputError : it is no CRS, or pyproj is needed and is not installed.
+    InputError : it is no CRS.
     """
     text = " ".join(text.split())
     words = UTM_WORDS.fullmatch(text)
     if words:
         return f"EPSG:32{'6' if words[2] in 'nN' else '7'}{int(words[1]):02d}"
-    if UTM_EPSG.fullmatch(text.upper()) or text.upper() == WGS84:
-        return text.upper()
     band = UTM_BAND.fullmatch(text)
     if band:
         raise InputError(f"{name} {_shown(text)}: {band[2]} is a latitude band; write N or S, for "
@@ -75,15 +62,12 @@ def normal_crs(text: str, name: str = "--crs") -> str:
 def has_metres(crs: str, name: str = "--crs") -> bool:
     """Whether a CRS, as `normal_crs` returns it, is projected, with metres of the ground to the
     east and north."""
-    return is_projected(crs, name) and (
-        bool(UTM_EPSG.fullmatch(crs)) or not _is_web_mercator(pyproj_crs(crs, name)))
+    return is_projected(crs, name) and not _is_web_mercator(pyproj_crs(crs, name))
 
 
 def is_projected(crs: str, name: str = "--crs") -> bool:
     """As `has_metres`, but the metres may be those of Web Mercator, which grow towards the poles.
     """
-    if UTM_EPSG.fullmatch(crs) or crs == WGS84:
-        return crs != WGS84
     return _is_metric(pyproj_crs(crs, name))
 
 
@@ -117,7 +101,7 @@ def project_crs(definition: str, north_first: bool = False) -> str:
     """
     if not 0 < len(definition) <= LONGEST_DEFINITION or "\0" in definition:
         return ""
-    pyproj = _pyproj("a project's CRS")
+    pyproj = _pyproj()
     logging.getLogger("pyproj").addHandler(logging.NullHandler())
     try:
         crs = pyproj.CRS.from_user_input(definition)
@@ -154,9 +138,9 @@ def converter(source: str, target: str, why: str = "CRS") -> Conversion:
 
     Raises
     ------
-    InputError : a CRS is unknown, or pyproj is not installed.
+    InputError : a CRS is unknown.
     """
-    pyproj = _pyproj(why)
+    pyproj = _pyproj()
     try:
         systems = [pyproj.CRS.from_user_input(crs) for crs in (source, target)]
         flat = pyproj.Transformer.from_crs(*systems, always_xy=True)
@@ -193,7 +177,7 @@ def on_ground(source: str, target: str, points: ArrayLike) -> NDArray[np.float64
 
     Parameters
     ----------
-    source, target : such as "EPSG:4326"; pyproj is needed unless they are equal.
+    source, target : such as "EPSG:4326".
     points : float[N, 3]: east or longitude, north or latitude, height.
 
     Returns
@@ -242,11 +226,6 @@ def outside(crs: str, points: ArrayLike) -> str:
     """
     east, north = np.median(np.asarray(points, np.float64)[:, :2], axis=0)
     where = f"at east {east:.0f}, north {north:.0f}"
-    utm = UTM_EPSG.fullmatch(crs)
-    if utm:
-        latitude = (north - 1e7 * (utm[1] == "7")) / 111_000
-        reach = 111_300 * (3 + MARGIN) * np.cos(np.radians(latitude))
-        return "" if abs(latitude) < 84 + MARGIN and abs(east - 5e5) < reach else where
     system = pyproj_crs(crs, "CRS")
     ((longitude, latitude),) = converter(horizontal(crs), WGS84)([(east, north)])
     area = system.area_of_use
@@ -263,8 +242,6 @@ def outside(crs: str, points: ArrayLike) -> str:
 
 def horizontal(crs: str) -> str:
     """The horizontal part of a compound CRS, as `normal_crs` returns it; others as they are."""
-    if UTM_EPSG.fullmatch(crs) or crs == WGS84:
-        return crs
     system = pyproj_crs(crs, "CRS")
     flat = _flat(system)
     return normal_crs(flat.to_wkt()) if flat != system else crs
@@ -293,8 +270,6 @@ class Heights:
 
 def heights_of(crs: str) -> Heights:
     """What the third coordinates of a CRS are, as `normal_crs` returns it."""
-    if UTM_EPSG.fullmatch(crs) or crs == WGS84:
-        return Heights("", 1.0, "metre")
     return _heights(pyproj_crs(crs, "CRS"))
 
 
@@ -323,7 +298,7 @@ def converted_heights(source: str, target: str, points: ArrayLike, why: str
     ------
     InputError : PROJ has no transformation, or not the grid of the geoid that it needs.
     """
-    pyproj = _pyproj(why)
+    pyproj = _pyproj()
     systems = [pyproj_crs(crs, why) for crs in (source, target)]
     try:
         heights = pyproj.Transformer.from_crs(
@@ -359,7 +334,7 @@ def _shown(crs: str) -> str:
 def pyproj_crs(text: str, name: str) -> Any:
     """The pyproj.CRS of a text; InputError, with this name of the option or file, if there is none.
     """
-    pyproj = _pyproj(f"{name} {_shown(text)}")
+    pyproj = _pyproj()
     try:
         return pyproj.CRS.from_user_input(text)
     except pyproj.exceptions.CRSError:
@@ -367,10 +342,8 @@ def pyproj_crs(text: str, name: str) -> Any:
                          "such as EPSG:25832") from None
 
 
-def _pyproj(why: str) -> Any:
-    """The library, which few commands need; InputError if it is not installed."""
-    try:
-        import pyproj
-    except ImportError:
-        raise InputError(f"{why}: needs pyproj, which is not installed; {CURE}") from None
+def _pyproj() -> Any:
+    """The library, without its types: they leave out what it accepts."""
+    import pyproj
+
     return pyproj

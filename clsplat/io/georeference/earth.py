@@ -23,13 +23,12 @@ from clsplat.io.georeference.crs import (
 )
 from clsplat.placement.similarity import Similarity
 
-FALSE_NORTHING = 1e7  # metres, of UTM zones south of the equator
 STEP = 50.0  # metres, over which the map is differentiated
 
 
 def map_positions(latitudes: ArrayLike, longitudes: ArrayLike, heights: ArrayLike,
                   crs: str | None = None) -> tuple[NDArray[np.float64], str]:
-    """Map coordinates of places. The UTM zone of the places needs no pyproj.
+    """Map coordinates of places.
 
     Parameters
     ----------
@@ -42,24 +41,14 @@ def map_positions(latitudes: ArrayLike, longitudes: ArrayLike, heights: ArrayLik
     float64[N, 3], east, north and height, nan for places that the CRS cannot represent; and that
     CRS.
     """
-    import pycolmap
-
-    places = np.column_stack([latitudes, longitudes, heights]).astype(np.float64)
-    # pycolmap refuses all places if one is not on the earth
-    valid = (np.abs(places[:, :2]) <= (90, 180)).all(axis=1)
+    places = np.column_stack([longitudes, latitudes, heights]).astype(np.float64)
+    valid = (np.abs(places[:, :2]) <= (180, 90)).all(axis=1)
+    result = np.full_like(places, np.nan)
     if not valid.any():
-        return np.full_like(places, np.nan), crs or WGS84
-    flat = np.where([True, True, False], places[valid], 0.0)
-    utm, zone = pycolmap.GPSTransform().ellipsoid_to_utm(flat)
-    south = bool(np.median(flat[:, 0]) < 0)
-    # which pycolmap adds to each place by itself, so that those across the equator are far away
-    utm[:, 1] += FALSE_NORTHING * (south - (flat[:, 0] < 0).astype(float))
-    own = f"EPSG:32{'7' if south else '6'}{zone:02d}"
-    if crs is None or crs == own:
-        result = np.full_like(places, np.nan)
-        result[valid] = np.column_stack([utm[:, :2], places[valid, 2]])
-        return result, own
-    return on_ground(WGS84, crs, places[:, [1, 0, 2]]), crs
+        return result, crs or WGS84
+    target = crs or utm_zone(*np.median(places[valid, :2], axis=0))
+    result[valid] = on_ground(WGS84, target, places[valid])
+    return result, target
 
 
 def topocentric(latitude: float, longitude: float, height: float) -> Similarity:

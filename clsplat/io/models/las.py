@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.georeference.crs import cloud_on_map, has_pyproj, pyproj_crs
+from clsplat.io.georeference.crs import cloud_on_map, pyproj_crs
 from clsplat.io.models.points import cloud_gaussians
 from clsplat.io.models.values import Notes, colours_of, opacities, reading
 from clsplat.io.reason import clean, reason
@@ -128,7 +128,7 @@ def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | N
 def _converted(path: Path, header: Any, crs: str | None, points: NDArray[np.float64]
                ) -> NDArray[np.float64]:
     """Points in a CRS; as they are if the file names none that is known."""
-    if crs is None or not has_pyproj():
+    if crs is None:
         return points
     try:
         system = header.parse_crs()

@@ -1,6 +1,5 @@
 """Coordinate reference systems: their names, and conversions."""
 
-import sys
 
 import numpy as np
 import pytest
@@ -8,7 +7,6 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.io.georeference.crs import (
     conversion,
-    has_metres,
     map_crs,
     normal_crs,
     on_ground,
@@ -18,26 +16,8 @@ from clsplat.io.georeference.crs import (
 )
 from clsplat.io.georeference.earth import map_positions
 
-TEXTS = {"EPSG:32614": "EPSG:32614", "epsg:32705": "EPSG:32705", "WGS84 UTM 32N": "EPSG:32632",
-         "WGS 84 / UTM zone 5S": "EPSG:32705", "EPSG:4326": "EPSG:4326"}
-
-
-@pytest.mark.parametrize("text, crs", TEXTS.items())
-def test_utm_needs_no_pyproj(monkeypatch, text, crs):
-    monkeypatch.setitem(sys.modules, "pyproj", None)
-    assert normal_crs(text) == crs and has_metres(crs) == (crs != "EPSG:4326")
-
-
-def test_other_systems_need_pyproj(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyproj", None)
-    for use in (lambda: normal_crs("EPSG:25832"),
-                lambda: map_positions([50.0], [9.0], [0.0], "EPSG:25832")):
-        with pytest.raises(InputError, match=r"pyproj, which .*`pip install pyproj`"):
-            use()
-
 
 def test_other_systems():
-    pytest.importorskip("pyproj", reason="pyproj, of the extra [geo], is not installed")
     assert scene_crs("EPSG:25832") == "EPSG:25832"
     assert normal_crs("+proj=utm +zone=32 +datum=WGS84").startswith(("EPSG:32632", "PROJCRS"))
     local = normal_crs("+proj=tmerc +lon_0=9 +x_0=1000 +ellps=GRS80")
@@ -62,12 +42,6 @@ def test_a_crs_with_control_characters_is_refused_in_one_line():
     assert str(caught.value).isprintable()
 
 
-@pytest.fixture
-def pyproj():
-    return pytest.importorskip("pyproj", reason="the extra [geo] is not installed")
-
-
-@pytest.mark.usefixtures("pyproj")
 def test_degrees_to_metres_and_to_the_earth():
     # the meeting of a central meridian and the equator
     assert np.allclose(conversion("OGC:CRS84", "EPSG:32633", "--polygon")(
@@ -77,18 +51,11 @@ def test_degrees_to_metres_and_to_the_earth():
     assert np.allclose(earth, 6378147 * np.array([[np.cos(angle), np.sin(angle), 0]]), atol=1e-3)
 
 
-@pytest.mark.usefixtures("pyproj")
 def test_what_cannot_be_converted():
     with pytest.raises(InputError, match="--polygon: coordinates in nowhere cannot be converted"):
         conversion("nowhere", "EPSG:32633", "--polygon")
     with pytest.raises(InputError, match="have no coordinates in EPSG:32633"):
         conversion("OGC:CRS84", "EPSG:32633", "--polygon")(np.array([[1000.0, 2000.0]]))
-
-
-def test_without_pyproj_the_cure_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyproj", None)
-    with pytest.raises(InputError, match=r"--polygon: needs pyproj.*pip install pyproj"):
-        conversion("OGC:CRS84", "EPSG:32633", "--polygon")
 
 
 @pytest.mark.parametrize("latitude, longitude, zone", [
@@ -104,5 +71,4 @@ def test_zones(latitude, longitude, zone):
     ("a\0b", "")])
 def test_definitions_that_a_map_can_have(definition, crs):
     """Projected, in metres, east before north."""
-    pytest.importorskip("pyproj", reason="pyproj, of the extra [geo], is not installed")
     assert project_crs(definition) == crs

@@ -1,8 +1,8 @@
 """Positions by GPS and reconstructions are placed on maps where pyproj says."""
 
-import sys
 
 import numpy as np
+import pyproj
 import pytest
 
 from clsplat.io.georeference.earth import map_positions, on_map, topocentric
@@ -11,15 +11,9 @@ from clsplat.placement.similarity import Similarity
 HERE, THERE = (30.17115, -98.08987), (-33.9, 18.4)
 
 
-@pytest.fixture
-def pyproj():
-    return pytest.importorskip("pyproj", reason="the extra [geo] is not installed")
-
-
 @pytest.mark.parametrize("place, crs, east, north", [
     (HERE, "EPSG:32614", 587630.75, 3338100.22), (THERE, "EPSG:32734", 259583.2, 6245888.0)])
-def test_the_utm_zone_of_a_place(monkeypatch, place, crs, east, north):
-    monkeypatch.setitem(sys.modules, "pyproj", None)
+def test_the_utm_zone_of_a_place(place, crs, east, north):
     positions, zone = map_positions([place[0]], [place[1]], [7.5])
     assert zone == crs and positions[0] == pytest.approx((east, north, 7.5), abs=0.1)
     assert np.array_equal(map_positions([place[0]], [place[1]], [7.5], crs)[0], positions)
@@ -40,7 +34,7 @@ def test_places_that_are_not_on_the_earth():
     assert np.isnan(map_positions([5e6], [5e5], [0.0])[0]).all()
 
 
-def test_a_kilometre_of_cameras(pyproj):
+def test_a_kilometre_of_cameras():
     """East of the zone's middle: what is left is the earth's curvature, centimetres."""
     random = np.random.default_rng(0)
     earth = topocentric(52.4, 17.9, 80.0)
@@ -57,7 +51,6 @@ def test_a_kilometre_of_cameras(pyproj):
     assert np.abs(similarity(centres)).max() < 1500  # small numbers, the rest is the offset
 
 
-@pytest.mark.usefixtures("pyproj")
 def test_a_reconstruction_in_any_unit_and_frame():
     """The same cameras in other coordinates come to the same places."""
     random = np.random.default_rng(1)
@@ -75,7 +68,6 @@ def test_a_reconstruction_in_any_unit_and_frame():
         reference.to_map(places(centres)), atol=5e-3)
 
 
-@pytest.mark.usefixtures("pyproj")
 def test_cameras_that_are_not_on_the_earth():
     with pytest.raises(ValueError, match="earth's surface"):
         on_map(Similarity(1.0, np.eye(3), np.zeros(3)), np.ones((2, 3)), "", "made")

@@ -13,7 +13,6 @@ from clsplat.io.georeference.measured import require_near_gps
 @pytest.mark.parametrize("wrong, refused", [(1, False), (4, True)])
 def test_gps_that_a_crs_cannot_represent_counts_as_far_away(wrong, refused):
     """One such photo made the median distance unknown, and with it good control points wrong."""
-    pytest.importorskip("pyproj", reason="pyproj is not installed (extra geo)")
     degrees = np.column_stack([np.full(5, 48.0), 9 + 1e-4 * np.arange(5)])
     centres, _ = map_positions(*degrees.T, np.zeros(5), "EPSG:25832")
     degrees[:wrong] = 0, 100

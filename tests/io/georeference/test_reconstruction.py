@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
+import pyproj
 import pytest
 
 from clsplat.camera import Camera
@@ -50,7 +51,6 @@ def test_a_model_without_points_has_its_origin_among_the_cameras(survey):
 
 
 def test_another_crs_moves_the_origin_only(survey):
-    pytest.importorskip("pyproj", reason="pyproj, of the extra [geo], is not installed")
     reconstruction = survey.reconstruction()
     placed = place_reconstruction(reconstruction, survey.metadata(), crs="EPSG:6343")
     assert placed.georeference.crs == "EPSG:6343"  # NAD83(2011), UTM zone 14: equal to metres
@@ -61,7 +61,6 @@ def test_another_crs_moves_the_origin_only(survey):
 @pytest.mark.parametrize("measured", [True, False])
 def test_altitudes_in_a_crs_that_has_heights(survey, measured):
     """They are those above the ellipsoid only if the files state it."""
-    pyproj = pytest.importorskip("pyproj", reason="pyproj, of the extra [geo], is not installed")
     metadata = {name: replace(known, above_ellipsoid=measured)
                 for name, known in survey.metadata().items()}
     crs = normal_crs(pyproj.CRS(CRS).to_3d().to_wkt())

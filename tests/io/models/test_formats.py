@@ -223,7 +223,6 @@ def packed(body, bits):
 @pytest.mark.parametrize("suffix", POINTS)
 def test_points_in_map_coordinates(tmp_path, suffix):
     laspy = pytest.importorskip("laspy", reason="laspy is an extra: pip install 'clsplat[geo]'")
-    pytest.importorskip("pyproj", reason="pyproj is an extra: pip install 'clsplat[geo]'")
     place = Georeference("EPSG:32614", (5e5, 4e6, 100.0), "GPS", 0.1)
     path, gaussians = tmp_path / f"a{suffix}", model(200, offset=(10, 20, 30))
     write_model(path, gaussians, georeference=place)

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 
 from clsplat.errors import InputError
@@ -14,7 +15,6 @@ from clsplat.io.scenes.read import read_scene
 from tests.io.shared_cases import CASES, needs_cases
 
 laspy = pytest.importorskip("laspy", reason="laspy is an extra: pip install 'clsplat[geo]'")
-pyproj = pytest.importorskip("pyproj", reason="pyproj is an extra: pip install 'clsplat[geo]'")
 PLACE = Georeference("EPSG:32755", (686696.0, 6090238.0, 100.0), "GPS", 0.1)
 POINTS = np.random.default_rng(0).uniform(0, 50, (40, 3))  # original coordinates
 COMPOUND = "EPSG:32755+5773"

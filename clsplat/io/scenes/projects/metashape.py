@@ -85,11 +85,10 @@ def read_metashape(path: Path, images: str = "") -> Scene:
         definition = (chunk.findtext("reference") or "").strip()
     if not definition or is_local(definition):
         return project_scene(path, path.parent, files, photos, notes=notes)
-    placed, _, georeference, more = georeferenced(
-        path, photos, None, lambda: IDENTITY, definition,
+    placed, _, georeference = georeferenced(
+        path, photos, None, IDENTITY, definition,
         f"Metashape's alignment of {len(photos)} photos")
-    return project_scene(path, path.parent, files, placed, georeference=georeference,
-                         notes=(*notes, *more))
+    return project_scene(path, path.parent, files, placed, georeference=georeference, notes=notes)
 
 
 def _chunk(path: Path) -> Element:

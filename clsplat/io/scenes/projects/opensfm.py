@@ -77,11 +77,11 @@ def read_opensfm(path: Path, images: str = "") -> Scene:
         reference = _reference(path, record)
     if reference is None:
         return project_scene(path, folder, files, photos, cloud, z_is_up=True, notes=notes)
-    placed, cloud, georeference, more = georeferenced(
-        path, photos, cloud, lambda: topocentric(*reference), "",
+    placed, cloud, georeference = georeferenced(
+        path, photos, cloud, topocentric(*reference), "",
         f"OpenSfM's alignment of {len(photos)} photos")
     return project_scene(path, folder, files, placed, cloud, georeference=georeference,
-                         z_is_up=True, notes=(*notes, *more))
+                         z_is_up=True, notes=notes)
 
 
 def _largest(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from clsplat.georeference import Georeference
 from clsplat.io.fields import number, numbers, pixels, reading, table, tables
-from clsplat.io.georeference.crs import has_pyproj, is_local, project_crs
+from clsplat.io.georeference.crs import is_local, project_crs
 from clsplat.io.photos.images import image_size
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
@@ -30,7 +30,7 @@ from clsplat.io.regular import read_regular
 from clsplat.io.scenes.posed import FLIPPED, Optics, PosedPhoto, brown, only
 from clsplat.io.scenes.projects.opf_points import read_points
 from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
-from clsplat.io.scenes.projects.scene import NO_PYPROJ, project_scene
+from clsplat.io.scenes.projects.scene import project_scene
 from clsplat.scene import Scene
 
 SUFFIX = ".opf"
@@ -221,8 +221,6 @@ def _georeference(project: _Project, photos: int
     shift = numbers(base.get("shift", [0.0] * 3), 3, "shift")
     if is_local(definition):
         return None, ()
-    if not has_pyproj():
-        return None, (NO_PYPROJ,)
     horizontal = project_crs(_with_authority(definition))
     if not horizontal or base.get("swap_xy") or (scale != UNIT).any():
         return None, ("the project's CRS is not a projected one in metres, east and north: its "

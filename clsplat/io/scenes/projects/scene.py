@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.georeference import Georeference
-from clsplat.io.georeference.crs import has_pyproj, project_crs
+from clsplat.io.georeference.crs import project_crs
 from clsplat.io.georeference.earth import on_map
 from clsplat.io.reason import reason
 from clsplat.io.scenes.cloud import Cloud, read_cloud
@@ -21,9 +21,6 @@ from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
 from clsplat.io.scenes.sources import IMAGES
 from clsplat.placement.similarity import Similarity
 from clsplat.scene import Scene
-
-NO_PYPROJ = ("its coordinates are kept as they are, without a map's: that needs pyproj; "
-             "`pip install pyproj`, then read it again")
 
 
 def project_scene(path: Path, folder: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
@@ -62,27 +59,25 @@ def _near(photos: Sequence[PosedPhoto], positions: NDArray[np.float64],
 
 
 def georeferenced(path: Path, photos: Sequence[PosedPhoto], points: Cloud | None,
-                  to_earth: Callable[[], Similarity], definition: str, source: str
-                  ) -> tuple[Sequence[PosedPhoto], Cloud | None, Georeference | None,
-                             tuple[str, ...]]:
+                  to_earth: Similarity, definition: str, source: str
+                  ) -> tuple[Sequence[PosedPhoto], Cloud | None, Georeference | None]:
     """Move photos and points onto a map.
 
     Parameters
     ----------
-    to_earth : called if pyproj is installed; the similarity to geocentric coordinates.
+    to_earth : to geocentric coordinates.
     definition : of the project's CRS, which is used if it is projected, in metres; else UTM.
 
     Returns
     -------
-    Photos and points in metres, east, north and up; the georeference, None without pyproj, in which
-    case nothing is moved; notes for the user.
+    Photos and points in metres, east, north and up; the georeference, None without photos.
     """
-    if not photos or not has_pyproj():
-        return photos, points, None, (NO_PYPROJ,)
+    if not photos:
+        return photos, points, None
     centres = np.array([photo.position for photo in photos])
     try:
         similarity, georeference = on_map(
-            to_earth(), centres, project_crs(definition, north_first=True), source)
+            to_earth, centres, project_crs(definition, north_first=True), source)
     except ValueError as error:
         raise InputError(f"{path}: cannot be placed on the earth ({reason(error)}); export it "
                          "again, or without a coordinate system") from None
@@ -90,7 +85,7 @@ def georeferenced(path: Path, photos: Sequence[PosedPhoto], points: Cloud | None
               for photo, centre in zip(photos, similarity(centres))]
     if points is not None:
         points = replace(points, positions=similarity(points.positions))
-    return placed, points, georeference, ()
+    return placed, points, georeference
 
 
 def root_of(data: bytes) -> ElementTree.Element:

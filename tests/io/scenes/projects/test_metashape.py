@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -98,7 +99,6 @@ def on_earth(folder, scene, reference):
 def test_georeference(tmp_path, reference, crs):
     """Geocentric coordinates become those of the chunk's map, or of the UTM zone if the map is not
     in metres."""
-    pyproj = pytest.importorskip("pyproj")
     scene = made(tmp_path)
     earth = on_earth(tmp_path, scene, reference)
     read = read_scene(tmp_path)
@@ -114,7 +114,6 @@ def test_georeference(tmp_path, reference, crs):
 
 def test_points_of_a_map(tmp_path):
     """A point cloud in map coordinates is brought to the scene's."""
-    pytest.importorskip("pyproj")
     on_earth(tmp_path, made(tmp_path), "EPSG:4326")
     read = read_scene(tmp_path)
     write_ply(tmp_path / "points3D.ply", read.georeference.to_map(world_points(read)))

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pyproj
 import pytest
 
 from clsplat.errors import InputError
@@ -77,7 +78,6 @@ def test_the_largest_part(tmp_path, scene):
 
 def test_georeference(tmp_path, scene):
     """A metre east, north and up of the reference is one on the map, and offsets add up to it."""
-    pyproj = pytest.importorskip("pyproj")
     reference = 52.4, 16.9, 80.0
     write_opensfm(tmp_path, scene, reference)
     read = read_scene(tmp_path)

@@ -53,7 +53,6 @@ def test_a_fisheye_of_odd_powers():
 
 
 def test_georeference(tmp_path):
-    pytest.importorskip("pyproj")
     scene = made(tmp_path)
     write_opf(tmp_path, scene, "EPSG:32632+EPSG:5773")
     read = read_scene(tmp_path)
