@@ -25,7 +25,8 @@ def test_every_page_is_in_the_navigation():
     listed = re.findall(r"(?m)^ +- [^:\n]+: (\S+\.md)$", SETTINGS.partition("\nnav:\n")[2])
     there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     assert len(listed) == len(set(listed)) and set(listed) == there
-    linked = re.findall(r"\(((?:guide|evidence)/[^)#]+)\)", (DOCS / "index.md").read_text("utf-8"))
+    linked = re.findall(r"\(((?:guide/|evidence/|design)[^)#]+)\)",
+                        (DOCS / "index.md").read_text("utf-8"))
     assert sorted(linked) == sorted(there - {"index.md"})
 
 
@@ -35,7 +36,8 @@ def test_every_page_of_the_guide_says_what_the_reader_can_do_after_it():
 
 
 def pictures(folder):
-    return [path for path in folder.rglob("*") if path.suffix in (".png", ".jpg", ".gif", ".webp")]
+    return [path for path in folder.rglob("*")
+            if path.suffix in (".png", ".jpg", ".gif", ".webp", ".svg")]
 
 
 def test_every_picture_is_small_and_shown_with_words():
