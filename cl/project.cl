@@ -17,8 +17,35 @@
 #ifndef WITH_POSE
 #define WITH_POSE 0
 #endif
-#ifndef SUMS
-#define SUMS PAIR_SUMS
+#ifndef WITH_FEATURES
+#define WITH_FEATURES 0
+#endif
+// Arguments that some builds lack, each after a comma.
+#if WITH_FEATURES
+#define FEATURES_ARGUMENT , __global real *restrict grad_features
+#else
+#define FEATURES_ARGUMENT
+#endif
+#if WITH_FROZEN
+#define FROZEN_ARGUMENT , __global const uint *restrict frozen
+#else
+#define FROZEN_ARGUMENT
+#endif
+#if WITH_STATISTICS
+#define STATISTICS_ARGUMENTS                                                                       \
+    , __global real *restrict grad_norm_sum, __global uint *restrict seen_count
+#else
+#define STATISTICS_ARGUMENTS
+#endif
+#if MASKED
+#define PHOTO_ARGUMENT , __global const uchar *restrict photo
+#else
+#define PHOTO_ARGUMENT
+#endif
+#if WITH_POSE
+#define POSE_ARGUMENT , __global real *restrict pose_terms
+#else
+#define POSE_ARGUMENT
 #endif
 #ifndef CARRIED
 #define CARRIED 0
@@ -94,7 +121,10 @@ __kernel void project(__global const uint *restrict counts,
 // and how many views saw it; a view with masked pixels (MASKED; photo: uchar[4, H, W], whose last
 // plane is 0 there) did if the pixel of its mean, or the nearest of the image, counts, or if the
 // gradient is not zero.
-// Without these two choices the arrays are not touched.
+// Builds lack the arrays of choices that they do not have.
+//
+// WITH_FEATURES: what was blended were the features of the gaussians, not their colours, whose
+// gradients are zero; grad_features: real[V, CHANNELS].
 //
 // WITH_POSE: pose_terms: real[V, POSE_REALS], the share of each gaussian in the gradient by the
 // pose. The first three are by a small turn of all that the camera sees about its centre, camera
@@ -118,10 +148,8 @@ __kernel void project_adjoint(
     __global real *restrict grad_opacity_logits,
     __global real *restrict grad_log_scales, __global real *restrict grad_quaternions,
     __global real *restrict grad_means, __global uint *restrict active,
-    __global uint *restrict skipped, __global const uint *restrict frozen,
-    __global real *restrict grad_norm_sum, __global uint *restrict seen_count,
-    __global const uchar *restrict photo,
-    __global real *restrict pose_terms)
+    __global uint *restrict skipped FROZEN_ARGUMENT STATISTICS_ARGUMENTS PHOTO_ARGUMENT
+        POSE_ARGUMENT FEATURES_ARGUMENT)
 {
     GAUSSIANS_MEMORY
     const uint count = min(work, counts[COUNT_VISIBLE]);
@@ -191,7 +219,7 @@ __kernel void project_adjoint(
         const real2 by_z =
             across - f.ratio * along + ratio * (by_ratio + focal * f.p.z * grad_mean);
         grad_p.z = -(by_z.x + by_z.y) * inverse_z;
-#if SUMS > PAIR_SUMS
+#if WITH_DEPTH
         grad_p.z += sum[SUM_DEPTH];
 #endif
         real3 grad_position = to_world(camera, grad_p);
@@ -203,8 +231,18 @@ __kernel void project_adjoint(
                                                            dot(w3, turn_world));
 #endif
 
-        // colour; where it is not drawn nothing flows
+#if WITH_FEATURES
+        real3 grad_colour = (real3)(0);
+        real feature_size = 0;
+        for (uint k = 0; k < CHANNELS; k++) {
+            grad_features[v * CHANNELS + k] = sum[SUM_COLOUR + k];
+            feature_size += fabs(sum[SUM_COLOUR + k]);
+        }
+#else
         real3 grad_colour = vload3(0, sum + SUM_COLOUR);
+        const real feature_size = 0;
+#endif
+        // where a colour is not drawn nothing flows
         real3 colour = (real)0.5 + (real)SH_C0 * vload3(row, sh_constant);
 #if DEGREE > 0
         real basis[SH_SIZE], weight[SH_SIZE];
@@ -230,7 +268,7 @@ __kernel void project_adjoint(
         grad_opacity_logits[v] = grad_logit;
 
         const real3 size = fabs(grad_position) + fabs(grad_colour) + fabs(grad_log_scale);
-        const bool finite = size.x + size.y + size.z + fabs(grad_logit) +
+        const bool finite = size.x + size.y + size.z + feature_size + fabs(grad_logit) +
                                     dot(fabs(grad_quaternion), (real4)(1)) < (real)GRADIENT_MAX &&
                             isfinite(colour.x + colour.y + colour.z);
         if (!finite)

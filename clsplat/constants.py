@@ -24,7 +24,7 @@ VIGNETTING_TERMS: Final = 3  # powers of the squared radius (clsplat/response.py
 VIGNETTING_REALS: Final = VIGNETTING_TERMS + 1  # and the scale of the radius
 POSE_REALS: Final = 6  # of the correction of a pose (cl/pose.cl): 3 of a turn, 3 of a shift
 GEOMETRY_REALS: Final = 12  # of what takes a pixel at a depth to another view (cl/reproject.cl)
-PAIR_SUMS: Final = 9  # of a pair in the blend adjoint; the depth channel has one more
+SHAPE_SUMS: Final = 6  # of a pair in the blend adjoint, beside those of its channels
 FREQUENCY_TERMS: Final = 11  # columns of cl/frequency.cl
 FREQUENCY_SUMS: Final = FREQUENCY_TERMS + 1
 

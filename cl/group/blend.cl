@@ -21,8 +21,8 @@
 #else
 #define DIVIDE(A, B) ((A) / (B))
 #endif
-#ifndef TOGETHER
-#define TOGETHER 3 // splats whose sums the adjoint adds up at once, one lane a sum
+#ifndef TOGETHER // splats whose sums the adjoint adds up at once, one lane a sum
+#define TOGETHER (ADJOINT_GROUP / SUMS < 3 ? ADJOINT_GROUP / SUMS : 3)
 #endif
 
 // The staged columns of a splat, scaled so that the power, for base two, is k.x dx^2 + k.y dx dy +
@@ -37,23 +37,48 @@ inline real4 staged_conic(real4 conic)
     return (real)(-0.5 * LOG2_E) * (real4)(conic.x, 2 * conic.y, conic.z, 0);
 }
 
+// The colours of a splat and its depth.
+inline ColourAnd staged_colour(__global const real4 *splat, __global const real *colours)
+{
+    Colour colour;
+#define OF_SPLAT(C) colours[C]
+    LOAD_COLOUR(colour, OF_SPLAT);
+    return colour_and(colour, splat[2].w);
+}
+
+// The depth channel after a splat of weight w, before which the transmittance was t.
+inline real with_depth(real z, real depth, real w, real t)
+{
+    return DEPTH_PERCENT ? (w > 0 && t > (real)DEPTH_AT ? depth : z) : z + w * depth;
+}
+
 // Forward and adjoint must agree on each bit of the power, so its operations are spelled out; the
 // first two are of a column of pixels.
 #define POWER_XX(K, DX) ((K).x * (DX) * (DX))
 #define POWER_X(K, DX) ((K).y * (DX))
 #define POWER(K, XX, X, DY) MAD(MAD((K).z, DY, X), DY, XX)
 
-// Checkpoints: real4[buckets, PIXELS] of (T, C) and, with depth, real[buckets, PIXELS] of depth, by
-// slots; of pixels that had not ended before the bucket.
+// Channels of a pixel.
+#define NOTHING(C) 0
+#define IMAGE(C) image[(C)*plane + pixel]
+#define GRAD_IMAGE(C) grad_image[(C)*plane + pixel]
+#define BEHIND_HERE(C) BEHIND(C, pixel, ONE_BYTE)
+#define STORE_IMAGE(C, VALUE) IMAGE(C) = VALUE
+#define SET_SEEN(C, VALUE) seen[C] = VALUE
+
+// Checkpoints: real[buckets, PIXELS, CHANNELS + 1] of (C, T) and, with depth, real[buckets, PIXELS]
+// of depth, by slots; of pixels that had not ended before the bucket.
 __kernel __attribute__((reqd_work_group_size(PIXELS, 1, 1)))
 void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
-           __global real4 *restrict checkpoints, __global real *restrict depth_checkpoints)
+           __global real *restrict checkpoints DEPTH_ARGUMENT(depth_checkpoints))
 {
-    __local real4 shape[PIXELS], conic[PIXELS], colour[PIXELS];
+    __local real4 shape[PIXELS], conic[PIXELS];
+    __local ColourAnd colour[PIXELS];   // and depth
     __local uchar reached[PIXELS];      // sub-tiles of a splat
     __local uint hits[SUBTILES][WORDS]; // splats of a sub-tile, the first in the highest bit
     __local int open;
     const int tile = get_group_id(0), lane = get_local_id(0), place = first_tile + tile;
+    const int tiles_x = TILES_X;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
     const int column = x0 + slot_column(lane), row = y0 + slot_row(lane);
     const bool inside = column < width && row < height;
@@ -61,7 +86,8 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
     const uint first_bucket = bucket_offsets[tile];
     const real x = column + 0.5, y = row + 0.5;
     real t = 1, z = 0;
-    real3 c = (real3)(0);
+    Colour c;
+    LOAD_COLOUR(c, NOTHING);
     int latest = -1;
     bool done = !inside;
     for (uint base = begin; base < end; base += PIXELS) {
@@ -72,11 +98,12 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
             open = 1; // every writer writes the same
         uint own_reached = 0;
         if (base + lane < end) {
-            __global const real4 *splat = ROW_OF(sorted_splats[base + lane]);
+            const uint index = sorted_splats[base + lane];
+            __global const real4 *splat = ROW_OF(index);
             const real4 s = splat[0], k = splat[1];
             shape[lane] = staged_shape(s);
             conic[lane] = staged_conic(k);
-            colour[lane] = splat[2];
+            colour[lane] = staged_colour(splat, COLOURS_OF(splat, index));
             own_reached = reached_subtiles(ellipse_from(s, k), x0, y0);
         }
         reached[lane] = own_reached;
@@ -97,10 +124,8 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
             const uint past = base - begin + word * 32;
             if (past % BUCKET == 0) {
                 const ulong slot = (ulong)(first_bucket + past / BUCKET) * PIXELS + lane;
-                checkpoints[slot] = (real4)(t, c);
-#if WITH_DEPTH
-                depth_checkpoints[slot] = z;
-#endif
+                ((__global ColourAnd *)checkpoints)[slot] = colour_and(c, t);
+                IF_DEPTH(depth_checkpoints[slot] = z;)
             }
             uint bits = hits[lane / WAVE][word];
             while (bits) {
@@ -114,12 +139,8 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
                 done = next < (real)TRANSMITTANCE_MIN;
                 if (done)
                     break;
-                c += w * colour[j].xyz;
-#if DEPTH_PERCENT
-                z = w > 0 && t > (real)DEPTH_AT ? colour[j].w : z;
-#elif WITH_DEPTH
-                z += w * colour[j].w;
-#endif
+                c = scaled_sum(c, w, colour_in(colour[j]));
+                IF_DEPTH(z = with_depth(z, other_in(colour[j]), w, t);)
                 t = next;
                 latest = live ? base + j : latest;
             }
@@ -128,34 +149,22 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
     }
     if (inside) {
         const long plane = (long)width * height, pixel = (long)row * width + column;
-#if WITH_LAYERS
-        c += t * (real3)(ONE_BYTE(layers + pixel), ONE_BYTE(layers + plane + pixel),
-                         ONE_BYTE(layers + 2 * plane + pixel));
-#else
-        c += t * vload3(0, background);
-#endif
-        image[pixel] = c.x;
-        image[plane + pixel] = c.y;
-        image[2 * plane + pixel] = c.z;
-#if WITH_FRONT
-        __global const uchar *front = layers + FRONT_PLANE * plane + pixel;
-        c = ONE_BYTE(layers + FRONT_CLEAR_PLANE * plane + pixel) * c +
-            (real3)(ONE_BYTE(front), ONE_BYTE(front + plane), ONE_BYTE(front + 2 * plane));
-#endif
-#if WITH_VIGNETTING
-        __global const real *lens = lenses + lens_of[view] * VIGNETTING_REALS;
-        c *= GAIN(lens, squared_radius(camera, lens, x, y));
-#endif
-#if WITH_EXPOSURE
-        __global const real *e = transforms + (ulong)view * TRANSFORM_REALS;
-        for (int k = 0; k < 3; k++)
-            exposed[k * plane + pixel] = EXPOSED(e, k, c.x, c.y, c.z);
-#endif
+        Colour behind;
+        LOAD_COLOUR(behind, BEHIND_HERE);
+        c = scaled_sum(c, t, behind);
+        EACH_COMPONENT(STORE_IMAGE, c);
+        IF_RESPONSE(
+            Response response;
+            LOAD_RESPONSE(response);
+            real seen[3];
+            real front[4];
+            EACH_COMPONENT(SET_SEEN, c);
+            LOAD_FRONT(front, pixel, ONE_BYTE);
+            respond(&response, RADIUS(, response, x, y), front, seen);
+            EACH_CHANNEL(exposed[channel * plane + pixel] = seen[channel];))
         transmittance[pixel] = t;
         last_contributor[pixel] = latest;
-#if WITH_DEPTH
-        depth[pixel] = z;
-#endif
+        IF_DEPTH(depth[pixel] = z;)
     }
 }
 
@@ -174,11 +183,11 @@ __kernel __attribute__((reqd_work_group_size(ADJOINT_GROUP, 1, 1)))
 void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts,
                    __global const uint *restrict bucket_offsets,
                    __global const uint *restrict bucket_tiles, __global const real *restrict image,
-                   __global const real *restrict depth,
-                   __global const real4 *restrict checkpoints,
-                   __global const real *restrict depth_checkpoints)
+                   __global const real *restrict checkpoints DEPTH_INPUT(depth)
+                   DEPTH_INPUT(depth_checkpoints))
 {
-    __local real4 shape[BUCKET], conic[BUCKET], colour[BUCKET];
+    __local real4 shape[BUCKET], conic[BUCKET];
+    __local ColourAnd colour[BUCKET];
     __local real4 sums[TOGETHER * SUMS][ADJOINT_GROUP / 4 + 1]; // + 1: rows begin in other banks
     __local uint emission[BUCKET];
     __local uchar reached[BUCKET];
@@ -186,7 +195,7 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
     const uint bucket = get_group_id(0), tile = bucket_tiles[bucket];
     if (bucket >= counts[COUNT_BUCKETS]) // the launch is an upper bound; the whole group leaves
         return;
-    const int lane = get_local_id(0), place = first_tile + tile;
+    const int lane = get_local_id(0), place = first_tile + tile, tiles_x = TILES_X;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
     const long plane = (long)width * height;
     const int first = ranges[2 * tile] + (bucket - bucket_offsets[tile]) * BUCKET;
@@ -229,17 +238,13 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
     }
     // in front of the splat: transmittance; cotangent . all from there on
     real t[OWNED], rest[OWNED];
-    real3 grad[OWNED];
-#if WITH_DEPTH
-    real grad_z[OWNED];
-#endif
+    Colour grad[OWNED];
+    IF_DEPTH(real grad_z[OWNED];)
 #pragma unroll
     for (int i = 0; i < OWNED; i++) {
         t[i] = rest[i] = 0;
-        grad[i] = (real3)(0);
-#if WITH_DEPTH
-        grad_z[i] = 0;
-#endif
+        LOAD_COLOUR(grad[i], NOTHING);
+        IF_DEPTH(grad_z[i] = 0;)
         if (!open)
             continue;
         // no branch by pixel, so that all loads are under way at once; what has ended reads pixel 0
@@ -247,33 +252,34 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
         const bool live = last[i] >= first;
         const long pixel =
             live ? (long)(y0 + slot_row(slot)) * width + x0 + slot_column(slot) : 0;
-        const real4 before = checkpoints[(ulong)bucket * PIXELS + slot];
-        const real3 all = (real3)(image[pixel], image[plane + pixel], image[2 * plane + pixel]);
-        const real3 cotangent = (real3)(grad_image[pixel], grad_image[plane + pixel],
-                                        grad_image[2 * plane + pixel]);
-        real behind = dot(cotangent, all - before.yzw);
-#if WITH_DEPTH
-        const real before_z = depth_checkpoints[(ulong)bucket * PIXELS + slot];
-        const real cotangent_z = grad_depth[pixel];
-        behind += cotangent_z * (depth[pixel] - before_z);
-        behind += grad_transmittance[pixel] * transmittance[pixel];
-        if (live)
-            grad_z[i] = cotangent_z;
-#endif
+        const ColourAnd before =
+            ((__global const ColourAnd *)checkpoints)[(ulong)bucket * PIXELS + slot];
+        Colour all, cotangent;
+        LOAD_COLOUR(all, IMAGE);
+        LOAD_COLOUR(cotangent, GRAD_IMAGE);
+        real behind = dot_colours(cotangent, scaled_sum(all, -1, colour_in(before)));
+        IF_DEPTH(
+            const real before_z = depth_checkpoints[(ulong)bucket * PIXELS + slot];
+            const real cotangent_z = grad_depth[pixel];
+            behind += cotangent_z * (depth[pixel] - before_z);
+            behind += grad_transmittance[pixel] * transmittance[pixel];
+            if (live)
+                grad_z[i] = cotangent_z;)
         if (live) {
             grad[i] = cotangent;
-            t[i] = before.x;
+            t[i] = other_in(before);
             rest[i] = behind;
         }
     }
     for (int j = lane; j < count; j += ADJOINT_GROUP) {
         emission[j] = emission_indices[first + j];
         if (open) {
-            __global const real4 *splat = ROW_OF(sorted_splats[first + j]);
+            const uint index = sorted_splats[first + j];
+            __global const real4 *splat = ROW_OF(index);
             const real4 s = splat[0], k = splat[1];
             shape[j] = staged_shape(s);
             conic[j] = staged_conic(k);
-            colour[j] = splat[2];
+            colour[j] = staged_colour(splat, COLOURS_OF(splat, index));
             reached[j] = open & reached_subtiles(ellipse_from(s, k), x0, y0);
         }
     }
@@ -284,13 +290,13 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
     const int todo = open ? count : 0;
     for (int base = 0; base < todo; base += TOGETHER) {
         for (int j = base; j < min(base + TOGETHER, todo); j++) {
-            const real4 s = shape[j], k = conic[j], light_of = colour[j];
+            const real4 s = shape[j], k = conic[j];
+            const ColourAnd light_of = colour[j];
             const uint hit = reached[j];
-            real3 s_colour = (real3)(0);
+            Colour s_colour;
+            LOAD_COLOUR(s_colour, NOTHING);
             real s_opacity = 0, s_x = 0, s_y = 0, s_xx = 0, s_xy = 0, s_yy = 0;
-#if WITH_DEPTH
-            real s_z = 0;
-#endif
+            IF_DEPTH(real s_z = 0;)
             real dx[OWNED_X], power_x[OWNED_X], power_xx[OWNED_X];
 #pragma unroll
             for (int i = 0; i < OWNED_X; i++) {
@@ -311,17 +317,14 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
                     const bool live = power >= s.w && first + j <= last[i];
                     const real e = exp2_where(live, power), raw = s.z * e;
                     const real alpha = cut_alpha(raw), w = alpha * t[i];
-                    real light = dot(light_of.xyz, grad[i]);
-#if WITH_DEPTH
-                    light += light_of.w * grad_z[i];
-                    s_z += w * grad_z[i];
-#endif
+                    real light = dot_colours(colour_in(light_of), grad[i]);
+                    IF_DEPTH(light += other_in(light_of) * grad_z[i]; s_z += w * grad_z[i];)
                     rest[i] -= w * light;
                     const real grad_alpha = t[i] * light - DIVIDE(rest[i], 1 - alpha);
                     const real grad_raw = grad_alpha * cut_alpha_slope(raw);
                     const real grad_power = grad_raw * raw;
                     const real by_x = grad_power * dx[column], by_y = grad_power * dy;
-                    s_colour += w * grad[i];
+                    s_colour = scaled_sum(s_colour, w, grad[i]);
                     s_opacity += grad_raw * e;
                     s_x += by_x;
                     s_y += by_y;
@@ -332,18 +335,17 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
                 }
             }
 #define KEEP(SUM, VALUE) ((__local real *)sums[(j - base) * SUMS + (SUM)])[lane] = (VALUE)
-            KEEP(SUM_COLOUR, s_colour.x);
-            KEEP(SUM_COLOUR + 1, s_colour.y);
-            KEEP(SUM_COLOUR + 2, s_colour.z);
+#define KEEP_COLOUR(C, VALUE) KEEP(SUM_COLOUR + (C), VALUE)
+            EACH_COMPONENT(KEEP_COLOUR, s_colour);
             KEEP(SUM_OPACITY, s_opacity);
             KEEP(SUM_X, s_x);
             KEEP(SUM_Y, s_y);
             KEEP(SUM_XX, s_xx);
             KEEP(SUM_XY, s_xy);
             KEEP(SUM_YY, s_yy);
-#if WITH_DEPTH
-            KEEP(SUM_DEPTH, s_z);
-#endif
+            if (CHANNELS == 1)
+                KEEP(SUM_COLOUR + 1, 0); // of no channel
+            IF_DEPTH(KEEP(SUM_DEPTH, s_z);)
         }
         barrier(CLK_LOCAL_MEM_FENCE);
         if (lane < min(TOGETHER, todo - base) * SUMS) {

@@ -1,6 +1,9 @@
 // Alpha of a splat at a pixel, or at a row of 16 pixels (vector.h).
 #include "vector.h"
 #include "exp_power.h"
+#ifndef SMOOTH_CUTOFF
+#define SMOOTH_CUTOFF 0
+#endif
 
 // The contribution of a splat given its unclamped alpha. In tests (SMOOTH_CUTOFF) the step at
 // ALPHA_MIN becomes a ramp, so that finite differences across it have a meaning.

@@ -2,14 +2,25 @@
 // columns, SPLAT_MEAN and so on, are in clsplat/constants.py.
 #define ALPHA_MIN (1.0 / ALPHA_STEPS) // fainter contributions are skipped
 
-// Sums over a splat's pixels that the blend adjoint leaves, one row a pair.
+#ifndef CHANNELS
+#define CHANNELS 3 // of colour; features have others (channels.h)
+#endif
+#ifndef WITH_DEPTH
+#define WITH_DEPTH 0
+#endif
+
+// Sums over a splat's pixels that the blend adjoint leaves, SUMS of a pair. There are at least
+// eight, so a single channel has a zero beside it.
 enum {
-    SUM_COLOUR = 0,
-    SUM_OPACITY = 3,
-    SUM_X = 4, // sum of grad_power * dx, and so on
-    SUM_Y = 5,
-    SUM_XX = 6,
-    SUM_XY = 7,
-    SUM_YY = 8,
-    SUM_DEPTH = PAIR_SUMS // only where a loss reads the depth channel
+    SUM_OPACITY,
+    SUM_X, // sum of grad_power * dx, and so on
+    SUM_Y,
+    SUM_XX,
+    SUM_XY,
+    SUM_YY
 };
+#define SUM_COLOUR SHAPE_SUMS // the first channel
+#define COLOUR_SUMS (CHANNELS > 1 ? CHANNELS : 2)
+#define SUM_DEPTH (SUM_COLOUR + COLOUR_SUMS) // only where a loss reads the depth channel
+#define SUMS (SUM_DEPTH + WITH_DEPTH)
+typedef char every_sum_has_a_column[SUM_YY + 1 == SHAPE_SUMS ? 1 : -1];

@@ -27,8 +27,7 @@ inline real16 load_row(__global const real *row, int columns)
     return vload16(0, values);
 }
 
-#if WITH_LAYERS
-inline real16 load_layer(__global const uchar *row, int columns)
+inline real16 load_bytes(__global const uchar *row, int columns)
 {
     if (columns >= TILE)
         return SIXTEEN_BYTES(row);
@@ -37,7 +36,7 @@ inline real16 load_layer(__global const uchar *row, int columns)
         values[i] = i < columns ? ONE_BYTE(row + i) : 0;
     return vload16(0, values);
 }
-#endif
+#define LOAD_BYTES(P) load_bytes(P, columns)
 
 inline void store_indices(int16 value, __global int *row, int columns)
 {
@@ -74,20 +73,12 @@ inline int16 load_indices(__global const int *row, int columns)
         BODY                                                                                       \
     }
 
-#if WITH_DEPTH
-#define IF_DEPTH(CODE) CODE
-#else
-#define IF_DEPTH(CODE)
-#endif
-
 // The depth channel after a splat of weight w, before which the transmittance was t.
 inline real16 with_depth(real16 z, real depth, real16 w, real16 t)
 {
-#if DEPTH_PERCENT
-    return select(z, (real16)depth, TO_MASK(w > 0) & TO_MASK(t > (real)DEPTH_AT));
-#else
-    return z + w * depth;
-#endif
+    return DEPTH_PERCENT
+               ? select(z, (real16)depth, TO_MASK(w > 0) & TO_MASK(t > (real)DEPTH_AT))
+               : z + w * depth;
 }
 
 // Whether an ellipse reaches a row of the block that begins at `block_y`; a hair larger (tiles.h),
@@ -101,25 +92,21 @@ inline bool reaches_block(__global const real *splat, real block_y)
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void blend(BLEND_ARGUMENTS)
 {
-    const int tile = get_global_id(0), place = first_tile + tile;
+    const int tile = get_global_id(0), place = first_tile + tile, tiles_x = TILES_X;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
     const int columns = min(TILE, width - x0), rows = min(TILE, height - y0);
     const uint begin = ranges[2 * tile], end = ranges[2 * tile + 1];
     const real16 x = IOTA + (real)(x0 + 0.5);
     const long plane = (long)width * height;
     // t < 0: the pixel has ended, |t| remains
-    real16 t_of[TILE], red_of[TILE], green_of[TILE], blue_of[TILE];
+    real16 t_of[TILE], colour_of[CHANNELS][TILE];
     mask16 latest_of[TILE]; // the last pair a pixel can have seen; beyond it nothing reaches it
-#if WITH_DEPTH
-    real16 z_of[TILE];
-#endif
+    IF_DEPTH(real16 z_of[TILE];)
     for (int r = 0; r < TILE; r++) {
         t_of[r] = r < rows ? select((real16)-1, (real16)1, TO_MASK(IOTA < (real)columns)) : -1;
-        red_of[r] = green_of[r] = blue_of[r] = 0;
+        EACH_CHANNEL(colour_of[channel][r] = 0;)
         latest_of[r] = (int)end - 1;
-#if WITH_DEPTH
-        z_of[r] = 0;
-#endif
+        IF_DEPTH(z_of[r] = 0;)
     }
     int open_blocks = (1 << (rows + BLOCK - 1) / BLOCK) - 1;
     for (uint first = begin; first < end && open_blocks; first += CHUNK) {
@@ -136,14 +123,12 @@ void blend(BLEND_ARGUMENTS)
             if (!(open_blocks >> r0 / BLOCK & 1))
                 continue;
             const real block_y = y0 + r0 + 0.5;
-            real16 t[BLOCK], red[BLOCK], green[BLOCK], blue[BLOCK];
+            real16 t[BLOCK], colour[CHANNELS][BLOCK];
             mask16 latest[BLOCK];
             IF_DEPTH(real16 z[BLOCK];)
             EACH_ROW(
                 t[k] = t_of[r0 + k];
-                red[k] = red_of[r0 + k];
-                green[k] = green_of[r0 + k];
-                blue[k] = blue_of[r0 + k];
+                EACH_CHANNEL(colour[channel][k] = colour_of[channel][r0 + k];)
                 latest[k] = latest_of[r0 + k];
                 IF_DEPTH(z[k] = z_of[r0 + k];))
             bool open = true;
@@ -151,6 +136,7 @@ void blend(BLEND_ARGUMENTS)
                 __global const real *splat = splats + (ulong)sorted_splats[i] * SPLAT_REALS;
                 if (!reaches_block(splat, block_y))
                     continue;
+                __global const real *colours = COLOURS_OF(splat, sorted_splats[i]);
                 const real c = (real)(-0.5 * LOG2_E) * splat[SPLAT_CONIC + 2];
                 const real mean_y = splat[SPLAT_MEAN + 1];
                 const real16 excess_x = excess_x_of[i - first], shear = shear_of[i - first];
@@ -173,57 +159,32 @@ void blend(BLEND_ARGUMENTS)
                                  TO_MASK(next[2] > 0) | TO_MASK(next[3] > 0));
                 }
                 EACH_ROW(
-                    red[k] += w[k] * splat[SPLAT_COLOUR];
-                    green[k] += w[k] * splat[SPLAT_COLOUR + 1];
-                    blue[k] += w[k] * splat[SPLAT_COLOUR + 2];
+                    EACH_CHANNEL(colour[channel][k] += w[k] * colours[channel];)
                     IF_DEPTH(z[k] = with_depth(z[k], splat[SPLAT_DEPTH], w[k], t[k]);)
                     t[k] = next[k];)
             }
             EACH_ROW(
                 t_of[r0 + k] = t[k];
-                red_of[r0 + k] = red[k];
-                green_of[r0 + k] = green[k];
-                blue_of[r0 + k] = blue[k];
+                EACH_CHANNEL(colour_of[channel][r0 + k] = colour[channel][k];)
                 latest_of[r0 + k] = latest[k];
                 IF_DEPTH(z_of[r0 + k] = z[k];))
             if (!open)
                 open_blocks &= ~(1 << r0 / BLOCK);
         }
     }
+    IF_RESPONSE(Response response; LOAD_RESPONSE(response);)
     for (int r = 0; r < rows; r++) {
         const long pixel = (long)(y0 + r) * width + x0;
         const real16 rest = fabs(t_of[r]);
-#if WITH_LAYERS
-        real16 red = red_of[r] + rest * load_layer(layers + pixel, columns);
-        real16 green = green_of[r] + rest * load_layer(layers + plane + pixel, columns);
-        real16 blue = blue_of[r] + rest * load_layer(layers + 2 * plane + pixel, columns);
-#else
-        real16 red = red_of[r] + rest * background[0];
-        real16 green = green_of[r] + rest * background[1];
-        real16 blue = blue_of[r] + rest * background[2];
-#endif
-        store_row(red, image + pixel, columns);
-        store_row(green, image + plane + pixel, columns);
-        store_row(blue, image + 2 * plane + pixel, columns);
-#if WITH_FRONT
-        __global const uchar *front = layers + FRONT_PLANE * plane + pixel;
-        const real16 clear = load_layer(layers + FRONT_CLEAR_PLANE * plane + pixel, columns);
-        red = clear * red + load_layer(front, columns);
-        green = clear * green + load_layer(front + plane, columns);
-        blue = clear * blue + load_layer(front + 2 * plane, columns);
-#endif
-#if WITH_VIGNETTING
-        __global const real *lens = lenses + lens_of[view] * VIGNETTING_REALS;
-        const real16 gain = GAIN(lens, squared_radius(camera, lens, x, (real16)(y0 + r + 0.5)));
-        red *= gain;
-        green *= gain;
-        blue *= gain;
-#endif
-#if WITH_EXPOSURE
-        __global const real *e = transforms + (ulong)view * TRANSFORM_REALS;
-        for (int k = 0; k < 3; k++)
-            store_row(EXPOSED(e, k, red, green, blue), exposed + k * plane + pixel, columns);
-#endif
+        real16 colour[CHANNELS];
+        EACH_CHANNEL(
+            colour[channel] = colour_of[channel][r] + rest * BEHIND(channel, pixel, LOAD_BYTES);
+            store_row(colour[channel], image + channel * plane + pixel, columns);)
+        IF_RESPONSE(
+            real16 front[4];
+            LOAD_FRONT(front, pixel, LOAD_BYTES);
+            respond(&response, RADIUS(, response, x, (real16)(y0 + r + 0.5)), front, colour);
+            EACH_CHANNEL(store_row(colour[channel], exposed + channel * plane + pixel, columns);))
         store_row(rest, transmittance + pixel, columns);
         IF_DEPTH(store_row(z_of[r], depth + pixel, columns);)
         store_indices(convert_int16(latest_of[r]), last_contributor + pixel, columns);
@@ -240,18 +201,18 @@ inline void reached_rows(__global const real *splat, real first_y, int *begin, i
 }
 
 // The gradient by the power, of a row of the adjoint: as long as alpha is raw, w is before * raw.
-#if SMOOTH_CUTOFF
-#define GRAD_POWER select((real16)0, before * contrast * raw[k] * cut_alpha_slope(raw[k]), live[k])
-#else
-#define GRAD_POWER select((real16)0, w * contrast, live[k] & TO_MASK(raw[k] <= (real)ALPHA_MAX))
-#endif
+#define GRAD_POWER                                                                                 \
+    (SMOOTH_CUTOFF                                                                                 \
+         ? select((real16)0, before * contrast * raw[k] * cut_alpha_slope(raw[k]), live[k])        \
+         : select((real16)0, w * contrast, live[k] & TO_MASK(raw[k] <= (real)ALPHA_MAX)))
+
+#define LIGHT(C) grad[C][r] * colours[C] // of a splat, weighted by the gradient
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
-                   __global const real *restrict background,
-                   __global const uchar *restrict layers)
+                   __global const real *restrict background BACKDROP_ARGUMENT)
 {
-    const int tile = get_global_id(0), place = first_tile + tile;
+    const int tile = get_global_id(0), place = first_tile + tile, tiles_x = TILES_X;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
     const int columns = min(TILE, width - x0), rows = min(TILE, height - y0);
     const int begin = ranges[2 * tile], end = ranges[2 * tile + 1];
@@ -259,38 +220,26 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
     const real16 x = IOTA + (real)(x0 + 0.5);
     const real first_y = y0 + 0.5;
     // t: transmittance behind the current splat; behind: grad . colour of what lies behind it
-    real16 t[TILE], behind[TILE], grad_red[TILE], grad_green[TILE], grad_blue[TILE];
+    real16 t[TILE], behind[TILE], grad[CHANNELS][TILE];
     mask16 latest[TILE];
-#if WITH_DEPTH
-    real16 grad_z[TILE];
-#endif
+    IF_DEPTH(real16 grad_z[TILE];)
     int16 newest_each = -1;
     for (int r = 0; r < TILE; r++) {
         if (r >= rows) { // below the image
-            t[r] = behind[r] = grad_red[r] = grad_green[r] = grad_blue[r] = 0;
+            t[r] = behind[r] = 0;
+            EACH_CHANNEL(grad[channel][r] = 0;)
             latest[r] = -1;
-#if WITH_DEPTH
-            grad_z[r] = 0;
-#endif
+            IF_DEPTH(grad_z[r] = 0;)
             continue;
         }
         const long pixel = (long)(y0 + r) * width + x0;
         t[r] = load_row(transmittance + pixel, columns);
-        grad_red[r] = load_row(grad_image + pixel, columns);
-        grad_green[r] = load_row(grad_image + plane + pixel, columns);
-        grad_blue[r] = load_row(grad_image + 2 * plane + pixel, columns);
-#if WITH_LAYERS
-        behind[r] = grad_red[r] * load_layer(layers + pixel, columns) +
-                    grad_green[r] * load_layer(layers + plane + pixel, columns) +
-                    grad_blue[r] * load_layer(layers + 2 * plane + pixel, columns);
-#else
-        behind[r] = grad_red[r] * background[0] + grad_green[r] * background[1] +
-                    grad_blue[r] * background[2];
-#endif
-#if WITH_DEPTH
-        grad_z[r] = load_row(grad_depth + pixel, columns);
-        behind[r] += load_row(grad_transmittance + pixel, columns);
-#endif
+        EACH_CHANNEL(grad[channel][r] = load_row(grad_image + channel * plane + pixel, columns);)
+#define BACKGROUND_LIGHT(C) grad[C][r] * BEHIND(C, pixel, LOAD_BYTES)
+        ADD_CHANNELS(behind[r], BACKGROUND_LIGHT);
+        IF_DEPTH(
+            grad_z[r] = load_row(grad_depth + pixel, columns);
+            behind[r] += load_row(grad_transmittance + pixel, columns);)
         const int16 indices = load_indices(last_contributor + pixel, columns);
         newest_each = max(newest_each, indices);
         latest[r] = convert_mask16(indices);
@@ -310,9 +259,12 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
         PREFETCH_ROW(splats, sorted_splats[soon], SPLAT_REALS);
         PREFETCH_ROW(pair_grads, emission_indices[soon], SUMS);
         SPLAT_IN_ROWS(sorted_splats[i]);
+        __global const real *colours = COLOURS_OF(splat, sorted_splats[i]);
         int r_begin, r_end;
         reached_rows(splat, first_y, &r_begin, &r_end);
-        real16 s_red = 0, s_green = 0, s_blue = 0, s_z = 0;
+        real16 s_colour[COLOUR_SUMS], s_z = 0;
+        for (int j = 0; j < COLOUR_SUMS; j++)
+            s_colour[j] = 0;
         real16 s_p = 0, s_y = 0, s_yy = 0; // dx is the same in every row: its products come last
         for (int r0 = r_begin; r0 < r_end; r0 += BLOCK) {
             const real block_y = first_y + r0;
@@ -332,13 +284,10 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
                 const int r = r0 + k;
                 const real16 before = t[r] * inverse[k];
                 const real16 w = alpha[k] * before;
-                real16 light = grad_red[r] * splat[SPLAT_COLOUR] +
-                               grad_green[r] * splat[SPLAT_COLOUR + 1] +
-                               grad_blue[r] * splat[SPLAT_COLOUR + 2];
+                real16 light;
+                ADD_CHANNELS(light, LIGHT);
                 IF_DEPTH(light += grad_z[r] * splat[SPLAT_DEPTH]; s_z += w * grad_z[r];)
-                s_red += w * grad_red[r];
-                s_green += w * grad_green[r];
-                s_blue += w * grad_blue[r];
+                EACH_CHANNEL(s_colour[channel] += w * grad[channel][r];)
                 const real16 contrast = light - behind[r];
                 const real16 grad_power = GRAD_POWER;
                 const real dy = block_y + k - mean_y;
@@ -350,11 +299,10 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
                 t[r] = before;)
         }
         // in the order of splat.h; alpha is the opacity times exp(power)
-        vstore8(sum16_each(s_red, s_green, s_blue, s_p * (1 / splat[SPLAT_OPACITY]), s_p * dx, s_y,
-                           s_p * dx * dx, s_y * dx), 0, sum);
-        sum[SUM_YY] = sum16(s_yy);
-#if WITH_DEPTH
-        sum[SUM_DEPTH] = sum16(s_z);
-#endif
+        vstore8(sum16_each(s_p * (1 / splat[SPLAT_OPACITY]), s_p * dx, s_y, s_p * dx * dx, s_y * dx,
+                           s_yy, s_colour[0], s_colour[1]), 0, sum);
+        for (int j = 2; j < COLOUR_SUMS; j++)
+            sum[SUM_COLOUR + j] = sum16(s_colour[j]);
+        IF_DEPTH(sum[SUM_DEPTH] = sum16(s_z);)
     }
 }

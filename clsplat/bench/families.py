@@ -196,7 +196,7 @@ def blend(city: CityFrame) -> Cases:
         # any gradients will do: their values do not change the work
         yield Case("adjoint" + name, partial(
             blending.blend_adjoint, device, frame.splats, city.pairs, blended, background,
-            blended.image, blended.depth, blended.depth, defines),
+            blended.image, blended.depth_channel, blended.depth_channel, defines),
             pairs * (8 + 21 * real) + image, 62 * pixels, size)
 
 

@@ -35,8 +35,8 @@ from clsplat.primitives.reduce import sum_columns
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering.bin import bin_splats, tile_grid
 from clsplat.rendering.cull import cull
-from clsplat.rendering.pipeline import Gradients, Renderer
-from clsplat.rendering.project import pack_camera
+from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.project import Gradients, pack_camera
 
 STORED = Path(__file__).with_suffix(".npz")
 NEAR, DEGREE, SSIM_WEIGHT = 0.1, 1, 0.2

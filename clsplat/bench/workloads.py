@@ -10,8 +10,8 @@ from clsplat.device import Array, Device
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.photos.images import encode_jpeg
 from clsplat.primitives.compact import new_counts
-from clsplat.rendering.pipeline import Gradients, Renderer
-from clsplat.rendering.project import FieldGradients
+from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.project import FieldGradients, Gradients
 from clsplat.scene import Scene, View
 
 DEFINES = (("SH_REST", 15), ("ANTIALIASED", 0))  # of project and cull, as in training

@@ -67,7 +67,7 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
     scores = np.zeros(len(gradient))
     for view in views:
         photo, (_, height, width) = view.photo, view.photo.shape
-        frame = renderer.render(rows, view.camera, width, height, sh_degree, layers=view.backdrop)
+        frame = renderer.render(rows, view.camera, width, height, sh_degree, backdrop=view.backdrop)
         loss, visible, of_view = _seen(renderer.device, frame, photo, ssim_weight)
         values = {"gradient": gradient[visible], "opacity": opacity[visible],
                   "volume": volume[visible], **of_view}

@@ -12,8 +12,8 @@ from clsplat.device.array import Array, ArraySpec, Reading
 from clsplat.device.device import Device, Handle
 from clsplat.device.find import choose_device, choose_handle, list_devices, open_device
 from clsplat.device.graph import Graph
-from clsplat.device.kernel import Forms, Kernel, each, groups, items
+from clsplat.device.kernel import Forms, Kernel, Only, each, groups, items
 
-__all__ = ["Array", "ArraySpec", "Device", "Forms", "Graph", "Handle", "Kernel", "Reading",
+__all__ = ["Array", "ArraySpec", "Device", "Forms", "Graph", "Handle", "Kernel", "Only", "Reading",
            "choose_device", "choose_handle", "each", "groups", "items", "list_devices",
            "open_device"]

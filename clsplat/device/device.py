@@ -22,7 +22,7 @@ from clsplat.device.arena import Arena, Block
 from clsplat.device.array import Array
 from clsplat.device.capabilities import probe_capabilities, probe_wave
 from clsplat.device.graph import Graph
-from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Kernel
+from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Defines, Kernel
 from clsplat.device.source import define_options, kernel_source, words_of
 from clsplat.errors import TOO_LARGE, DeviceError, OutOfDeviceMemory
 
@@ -30,7 +30,6 @@ SMALLEST_BYTES = 64  # of a buffer
 
 Handle = cl.Device  # a device that is not open, for modules that do not import pyopencl
 Shape = int | tuple[int, ...]
-Defines = tuple[tuple[str, Any], ...]  # (name, value) of the constants of a build
 
 
 class Device:
@@ -211,9 +210,9 @@ class Device:
         Parameters
         ----------
         defines : constants of the build.
-        values : the kernel's arguments by name, those of both forms.
+        values : the kernel's arguments by name, those of both forms and of all builds.
         """
-        call = kernel.bind(self, values)
+        call = kernel.bind(self, values, defines)
         if not call.items:
             return
         self.kernel_bytes += call.nbytes
@@ -256,7 +255,9 @@ class Device:
         sizes = tuple((name, getattr(self, size)) for name, size in DEVICE_SIZES.items())
         key = kernel, defines, sizes
         if key not in self._kernels:
-            self._kernels[key] = self._built(kernel.file, kernel.forms.of(self), sizes + defines)
+            contract = kernel.contract(self, defines)
+            assert contract is not None  # it was bound
+            self._kernels[key] = self._built(kernel.file, contract, sizes + defines)
         return self._kernels[key]
 
     def _built(self, file: str, kernel: Contract, defines: Defines) -> cl.Kernel:
@@ -271,8 +272,8 @@ class Device:
                     warnings.simplefilter("ignore", cl.CompilerWarning)
                     program, checked = binaries.build(
                         self.context, self.handle, kernel_source(file), options, kernel,
-                        [other.forms.of(self) for other in Kernel.declared[file]
-                         if other.forms.of(self)])
+                        [contract for other in Kernel.declared[file]
+                         if (contract := other.contract(self, defines))])
             except cl.Error as error:
                 raise DeviceError(f"{self.name}: {file} does not build:\n{error}") from None
             self._programs[file, defines] = program, checked

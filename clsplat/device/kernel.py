@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from clsplat.device.device import Device
 
 Argument = str | tuple[Any, ...]  # see `Kernel`
+Defines = tuple[tuple[str, Any], ...]  # (name, value) of the constants of a build
 Factors = list[tuple[Any, Any]]  # of a size: quotients of two names or numbers
 SCALARS = {
     "int": np.int32, "uint": np.uint32, "ulong": np.uint64, "float": np.float32, "uchar": np.uint8}
@@ -31,6 +32,19 @@ DEVICE_SIZES = {  # name -> attribute of Device
     "TILE": "tile", "SCAN_GROUP": "scan_group", "WAVE": "wave", "BUCKET": "bucket",
     "ADJOINT_GROUP": "adjoint_group"}
 RUNS_A_CORE = 4  # of the item form: work-items a core, as cores are not equally busy
+
+
+class Only(NamedTuple):
+    """An argument that a kernel has only in builds in which a constant is not 0.
+
+    Attributes
+    ----------
+    define : the name of the constant.
+    argument : as for `Kernel`.
+    """
+
+    define: str
+    argument: str | tuple[Any, ...]
 
 
 class Forms(NamedTuple):
@@ -65,7 +79,7 @@ class Launch:
     kind: str
     units: str
     group: str = ""
-    arguments: dict[str, Argument] = field(default_factory=dict)
+    arguments: dict[str, Argument | Only] = field(default_factory=dict)
 
     def __str__(self) -> str:
         units, group = (" × ".join(text.split()) for text in (self.units, self.group))
@@ -79,12 +93,12 @@ def each(elements: str) -> Launch:
     return Launch("each", elements)
 
 
-def items(units: str, group: str = "1", /, **arguments: Argument) -> Launch:
+def items(units: str, group: str = "1", /, **arguments: Argument | Only) -> Launch:
     """Launch `units` work-items in groups of `group`; for the arguments see `Launch`."""
     return Launch("items", units, group, arguments)
 
 
-def groups(units: str, group: str, /, **arguments: Argument) -> Launch:
+def groups(units: str, group: str, /, **arguments: Argument | Only) -> Launch:
     """Launch `units` groups of `group` work-items; for the arguments see `Launch`."""
     return Launch("groups", units, group, arguments)
 
@@ -96,34 +110,55 @@ class Kernel:
     ----------
     launch : of both forms, or `Forms` with one for each; None: that form has no such kernel.
     arguments : in the order of the OpenCL signature; a string is a scalar of that type, a tuple an
-        array: its type, then its shape, where equal letters must agree. `real` is float, or double
+        array: its type, then its shape, where equal letters must agree; `Only` for one that some
+        builds lack. `real` is float, or double
         on a device opened for double precision; for `moment` see EITHER.
 
     Attributes
     ----------
     declared : the kernels of each file whose modules were imported.
+    forms : the contracts of a build that has all arguments.
+    only : name of an argument that some builds lack -> the constant that it depends on.
     """
 
     declared: ClassVar[dict[str, list[Kernel]]] = {}
 
     def __init__(self, file: str, function: str, launch: Launch | Forms,
-                 **arguments: Argument) -> None:
+                 **arguments: Argument | Only) -> None:
         self.file, self.function = file, function
         self.launches = launch if isinstance(launch, Forms) else Forms(launch, launch)
-        self.forms = Forms(*(each_form and Contract(file, function, each_form, arguments)
-                             for each_form in self.launches))
+        own = [argument for form in self.launches if form for argument in form.arguments.items()]
+        self.only = {name: argument.define for name, argument in (*arguments.items(), *own)
+                     if isinstance(argument, Only)}
+        self._arguments = arguments
+        self._contracts: dict[tuple[str, frozenset[str]], Contract | None] = {}
+        self.forms = Forms(*(self._contract(form, frozenset(self.only.values()))
+                             for form in Forms._fields))
         self.names = {name for form in self.forms if form for name in form.arguments}
         self.declared.setdefault(file, []).append(self)
 
     def __repr__(self) -> str:
         return f"{self.function} in {self.file}"
 
-    def bind(self, device: Device, values: Mapping[str, Any]) -> Call:
-        """Check arguments, and put those of the device's form in their order.
+    def contract(self, device: Device, defines: Defines) -> Contract | None:
+        """What the device's form has in a build with these constants; None: no such kernel."""
+        return self._contract(device.form, frozenset(
+            name for name, value in defines if value and name in self.only.values()))
+
+    def _contract(self, form: str, choices: frozenset[str]) -> Contract | None:
+        if (form, choices) not in self._contracts:
+            launch = getattr(self.launches, form)
+            self._contracts[form, choices] = launch and Contract(
+                self.file, self.function, launch, self._arguments, choices)
+        return self._contracts[form, choices]
+
+    def bind(self, device: Device, values: Mapping[str, Any], defines: Defines = ()) -> Call:
+        """Check arguments, and put those of the device's form and of a build in their order.
 
         Parameters
         ----------
-        values : the arguments of both forms by name.
+        values : the arguments of both forms and of all builds by name.
+        defines : the constants of the build.
 
         Raises
         ------
@@ -132,7 +167,9 @@ class Kernel:
         if values.keys() != self.names:
             wrong = values.keys() ^ self.names
             raise ShapeError(f"{self}: missing or unknown arguments {sorted(wrong)}")
-        return Call(self, *self.forms.of(device).bind(device, values))
+        contract = self.contract(device, defines)
+        assert contract is not None, f"{self} has no {device.form} form"
+        return Call(self, *contract.bind(device, values))
 
     def units(self, device: Device, **sizes: int) -> int:
         """The number of elements, work-items or groups of a launch with these sizes, by name."""
@@ -157,12 +194,21 @@ class Call(NamedTuple):
 
 
 class Contract:
-    """One form of a Kernel, which has the same parameters."""
+    """One form of a Kernel, which has the same parameters, in builds with the same choices.
+
+    Parameters
+    ----------
+    choices : the constants on which arguments depend and which are not 0.
+    """
 
     def __init__(self, file: str, function: str, launch: Launch,
-                 arguments: dict[str, Argument]) -> None:
+                 arguments: Mapping[str, Argument | Only],
+                 choices: frozenset[str] = frozenset()) -> None:
         self.file, self.function, self.launch = file, function, launch
-        self.arguments = {**arguments, **launch.arguments}
+        self.arguments: dict[str, Argument] = {
+            name: argument.argument if isinstance(argument, Only) else argument
+            for name, argument in {**arguments, **launch.arguments}.items()
+            if not isinstance(argument, Only) or argument.define in choices}
         self.signature = repr((function, *self.arguments.items()))
         # (name, dtype or None for the device's real, shape or None for a scalar)
         self._checks = [

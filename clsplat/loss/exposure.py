@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.constants import (
-    CAMERA_REALS,
     EXPOSURE_BLOCK,
     FRAME_COUNTS,
     TRANSFORM_REALS,
@@ -17,11 +16,13 @@ from clsplat.constants import (
 )
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
 from clsplat.rendering.blend import (
+    BACK_PLANES,
+    BACKDROP,
+    RESPONSE,
     Defines,
     Exposure,
     Vignetting,
-    bytes_or,
-    layer_defines,
+    backdrop_defines,
 )
 from clsplat.response import Lenses, Response
 
@@ -36,8 +37,7 @@ _LENSES = dict(lens_of=("uint", "V"), lenses=("real", "L", VIGNETTING_REALS))
 ADJOINT = Kernel(
     "exposure.cl", "exposure_adjoint",
     Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), pixels="uint", width="uint",
-    view="uint", blocks="uint", camera=("real", CAMERA_REALS), transforms=_ROWS, **_LENSES,
-    image=_IMAGE, grad=_IMAGE, layers=("uchar", "N", "O", "Q"), grad_image=_IMAGE,
+    blocks="uint", **RESPONSE, image=_IMAGE, grad=_IMAGE, backdrop=BACKDROP, grad_image=_IMAGE,
     partials=("real", "P", "S"))
 STEP = Kernel("exposure.cl", "exposure_step", groups("1", "16"), view="uint", rate="real",
               pull="real", counts=("uint", FRAME_COUNTS), partials=("real", "P", "S"),
@@ -108,14 +108,14 @@ class Exposures:
                         if self.has_vignetting else None)
 
     def adjoint(self, view: int, camera: Array, image: Array, grad: Array,
-                layers: Array | None = None) -> tuple[Array, Array]:
+                backdrop: Array | None = None) -> tuple[Array, Array]:
         """Gradients from those by the photo that the response makes of an image.
 
         Parameters
         ----------
         view, camera : as for `of`.
         image, grad : real[3, H, W].
-        layers : uchar[3 or 7, H, W], as for `rendering.blend.blend`.
+        backdrop : uchar[3 or 7, H, W], as for `rendering.blend.blend`.
 
         Returns
         -------
@@ -126,10 +126,11 @@ class Exposures:
         blocks = -(-width * height // EXPOSURE_BLOCK)
         partials = device.empty((blocks, _sums(self.has_vignetting)))
         grad_image = device.empty(image.shape)
-        device.launch(ADJOINT, (*self._defines, *layer_defines(layers)[1:]),
-                      pixels=width * height, width=width, view=view, blocks=blocks, camera=camera,
-                      transforms=self.transforms, lens_of=self.lens_of, lenses=self.lenses,
-                      image=image, grad=grad, layers=bytes_or(self.lenses, layers),
+        front = backdrop if backdrop is not None and len(backdrop) > BACK_PLANES else None
+        device.launch(ADJOINT, (("WITH_RESPONSE", 1), *self._defines, *backdrop_defines(front)),
+                      pixels=width * height, width=width, blocks=blocks, view=view,
+                      transforms=self.transforms, camera=camera, lens_of=self.lens_of,
+                      lenses=self.lenses, image=image, grad=grad, backdrop=front,
                       grad_image=grad_image, partials=partials)
         return grad_image, partials
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from clsplat.constants import FRAME_COUNTS
 from clsplat.device import Array, Kernel, each
-from clsplat.rendering.pipeline import Gradients
+from clsplat.rendering.project import Gradients
 
 REGULARISE = Kernel(
     "regularise.cl", "regularise", each("V"), opacity_weight="real", scale_weight="real",

@@ -27,8 +27,7 @@ from clsplat.constants import (
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each
 from clsplat.gaussians import LEARNED
 from clsplat.primitives.gather import gather
-from clsplat.rendering.pipeline import Gradients
-from clsplat.rendering.project import FieldGradients
+from clsplat.rendering.project import FieldGradients, Gradients
 
 LAG = ("last_step", "coefficients", "is_current")  # what checkpoints keep of lazy rows
 HostArrays = dict[str, NDArray[np.floating]]  # field name -> [N, *row shape]

@@ -10,7 +10,7 @@ from clsplat.constants import FRAME_COUNTS
 from clsplat.device import Array, Device, Forms, Kernel, each
 from clsplat.device.kernel import Argument
 from clsplat.primitives.compact import compact
-from clsplat.rendering.pipeline import Gradients
+from clsplat.rendering.project import Gradients
 
 _COUNTS: dict[str, Argument] = dict(counts=("uint", FRAME_COUNTS))
 MARK = Kernel("batch.cl", "batch_mark", each("V"), **_COUNTS, visible=("uint", "V"),

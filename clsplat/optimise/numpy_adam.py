@@ -20,7 +20,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import HostArrays, corrections
 from clsplat.primitives.gather import gather, scatter
-from clsplat.rendering.pipeline import Gradients
+from clsplat.rendering.project import Gradients
 
 
 class NumpyAdam:

@@ -10,10 +10,10 @@ adjoint, since nothing of a band is kept.
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import PAIR_SUMS
 from clsplat.device import Device
 from clsplat.errors import DeviceError
 from clsplat.rendering.bin import HAS_BUCKETS, PAIR_LIMIT, tile_grid
+from clsplat.rendering.blend import pair_columns
 
 FRAME_SHARE = 0.25  # of the device's memory; the rest is for parameters, moments and photos
 BUFFER_SHARE = 2 / 3  # of the largest buffer: the pool rounds sizes up, by a quarter at most
@@ -65,4 +65,4 @@ def pair_limit(device: Device, width: int, height: int, with_depth: bool) -> int
 def pair_reals(device: Device, with_depth: bool) -> tuple[int, int]:
     """Reals for each pair: those of its gradients, and its share of a bucket's checkpoints."""
     states = (4 + with_depth) * device.tile**2 // device.bucket
-    return PAIR_SUMS + with_depth, HAS_BUCKETS.of(device) * states
+    return pair_columns(3, with_depth), HAS_BUCKETS.of(device) * states

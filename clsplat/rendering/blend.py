@@ -5,45 +5,58 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clsplat.constants import FRAME_COUNTS, PAIR_SUMS, SPLAT_REALS, TRANSFORM_REALS
-from clsplat.device import Array, Device, Forms, Kernel, groups, items
-from clsplat.device.kernel import Argument
-from clsplat.errors import ShapeError
+from clsplat.constants import (
+    CAMERA_REALS,
+    FRAME_COUNTS,
+    SHAPE_SUMS,
+    SPLAT_REALS,
+    TRANSFORM_REALS,
+    VIGNETTING_REALS,
+)
+from clsplat.device import Array, Device, Forms, Kernel, Only, groups, items
 from clsplat.rendering.bin import Pairs
 
-BACK_PLANES, FRONT_AND_BACK_PLANES = 3, 7  # of layers (cl/include/layers.h)
+BACK_PLANES, FRONT_AND_BACK_PLANES = 3, 7  # of a backdrop (cl/include/respond.h)
+MOST_CHANNELS = 16  # as local memory and the lanes of the group form's adjoint allow
 Defines = tuple[tuple[str, int], ...]  # names and values of the build-time choices of a kernel
 
-READS_BACKGROUND = Forms(item=True, group=False)  # the adjoint, where the image does not tell
+READS_BACKGROUND = Forms(item=True, group=False)  # the adjoint; in the group form the image tells
 
-_SIZE = dict(width="int", height="int", tiles_x="int", first_tile="int")
-_LISTS = dict(ranges=("uint", "T", 2), sorted_splats=("uint", "P"))
-_SPLATS = dict(splats=("real", "V", SPLAT_REALS))
-_IMAGE, _DEPTH = dict(image=("real", 3, "H", "W")), dict(depth=("real", "D", "E"))
-_ENDS = dict(transmittance=("real", "H", "W"), last_contributor=("int", "H", "W"))
-_EXPOSURE: dict[str, Any] = dict(
-    view="uint", transforms=("real", "U", TRANSFORM_REALS), camera=("real", "J"),
-    lens_of=("uint", "K"), lenses=("real", "L", "M"))
-_EXPOSED = dict(exposed=("real", "F", "G", "I"))
-_BACKGROUND: dict[str, Argument] = dict(background=("real", 3))
-_LAYERS: dict[str, Argument] = dict(layers=("uchar", "N", "O", "Q"))
-_CHECKPOINTS = dict(checkpoints=("real", "B", "X", 4), depth_checkpoints=("real", "C", "Y"))
+_SIZE: dict[str, Any] = dict(width="int", height="int", first_tile="int")
+_LISTS: dict[str, Any] = dict(ranges=("uint", "T", 2), sorted_splats=("uint", "P"))
+_SPLATS: dict[str, Any] = dict(
+    splats=("real", "V", SPLAT_REALS), visible=Only("WITH_FEATURES", ("uint", "V")),
+    features=Only("WITH_FEATURES", ("real", "N", "C")))
+_ENDS: dict[str, Any] = dict(transmittance=("real", "H", "W"), last_contributor=("int", "H", "W"))
+_IMAGE: dict[str, Any] = dict(image=("real", "C", "H", "W"))
+_BACKGROUND: dict[str, Any] = dict(background=("real", "C"))
+BACKDROP = Only("BACKDROP_PLANES", ("uchar", "Q", "H", "W"))
+_DEPTH, _DEPTHS = (Only("WITH_DEPTH", ("real", *shape)) for shape in (("H", "W"), ("B", "X")))
+# the response of a view: of kernels that include respond.h
+RESPONSE: dict[str, Any] = dict(
+    view=Only("WITH_RESPONSE", "uint"),
+    transforms=Only("WITH_RESPONSE", ("real", "U", TRANSFORM_REALS)),
+    camera=Only("WITH_VIGNETTING", ("real", CAMERA_REALS)),
+    lens_of=Only("WITH_VIGNETTING", ("uint", "U")),
+    lenses=Only("WITH_VIGNETTING", ("real", "L", VIGNETTING_REALS)))
 
 BLEND = Kernel(
     "blend.cl", "blend",
     Forms(item=items("T"),
-          group=groups("T", "TILE TILE", bucket_offsets=("uint", "T"), **_CHECKPOINTS)),
-    **_SIZE, **_BACKGROUND, **_LISTS, **_SPLATS, **_IMAGE, **_ENDS, **_DEPTH, **_EXPOSURE,
-    **_LAYERS, **_EXPOSED)
+          group=groups("T", "TILE TILE", bucket_offsets=("uint", "T"),
+                       checkpoints=("real", "B", "X", "K"), depth_checkpoints=_DEPTHS)),
+    **_SIZE, **_BACKGROUND, **_LISTS, **_SPLATS, **_IMAGE, **_ENDS, depth=_DEPTH, **RESPONSE,
+    backdrop=BACKDROP, exposed=Only("WITH_RESPONSE", ("real", 3, "H", "W")))
 ADJOINT = Kernel(
     "blend.cl", "blend_adjoint",
-    Forms(item=items("T", **_BACKGROUND, **_LAYERS),
+    Forms(item=items("T", **_BACKGROUND, backdrop=BACKDROP),
           group=groups("B", "ADJOINT_GROUP", counts=("uint", FRAME_COUNTS),
                        bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"), **_IMAGE,
-                       **_DEPTH, **_CHECKPOINTS)),
+                       checkpoints=("real", "B", "X", "K"), depth=_DEPTH,
+                       depth_checkpoints=_DEPTHS)),
     **_SIZE, **_LISTS, emission_indices=("uint", "P"), **_SPLATS, **_ENDS,
-    grad_image=("real", 3, "H", "W"), grad_depth=("real", "D", "E"),
-    grad_transmittance=("real", "D", "E"), pair_grads=("real", "P", "S"))
+    grad_image=("real", "C", "H", "W"), grad_depth=_DEPTH, grad_transmittance=_DEPTH,
+    pair_grads=("real", "P", "S"))
 
 
 class Vignetting(NamedTuple):
@@ -76,28 +89,47 @@ class Exposure(NamedTuple):
     vignetting: Vignetting | None = None
 
 
+class Features(NamedTuple):
+    """What is blended in place of the colours of gaussians.
+
+    Attributes
+    ----------
+    rows : real[N, C], of all gaussians; C is 1 to MOST_CHANNELS.
+    visible : uint[V], the gaussian of each splat.
+    """
+
+    rows: Array
+    visible: Array
+
+
 @dataclass(eq=False)
 class Blended:
     """The result of blending.
 
     Attributes
     ----------
-    image : real[3, H, W].
+    image : real[3, H, W]; of features real[C, H, W].
     exposed : real[3, H, W], the image with a view's response; None without one.
     transmittance : real[H, W], the share of the background that is visible.
     last_contributor : int[H, W], index in its band of the last pair that was blended, or a later
         one; -1 if there is none. A frame in slabs has no such array.
-    depth : real[H, W], or a token of 1 x 1 without the depth channel.
+    depth_channel : real[H, W]; None without one.
     checkpoints, depth_checkpoints : of the band that was blended last; in the group form only.
     """
 
     image: Array
     transmittance: Array
     last_contributor: Array | None
-    depth: Array
+    depth_channel: Array | None
     exposed: Array | None = None
     checkpoints: Array | None = None
     depth_checkpoints: Array | None = None
+
+    @property
+    def depth(self) -> Array:
+        """The depth channel of a frame that has one."""
+        assert self.depth_channel is not None
+        return self.depth_channel
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,39 +138,46 @@ class SplatGrads:
 
     Attributes
     ----------
-    pair_grads : real[P, 9 or 10], by pair, in the order of emission.
+    pair_grads : real[P, S], by pair, in the order of emission; S of `pair_columns`.
     splat_counts, offsets : uint[V], how many pairs a splat has, and the first of them.
-    earlier : real[V, 9 or 10], the sums over earlier bands; None: zero.
+    defines : the choices on which S depends.
+    earlier : real[V, S], the sums over earlier bands; None: zero.
     """
 
     pair_grads: Array
     splat_counts: Array
     offsets: Array
+    defines: Defines
     earlier: Array | None = None
+
+
+def pair_columns(channels: int, with_depth: bool) -> int:
+    """The numbers that the adjoint leaves of a pair of a tile and a splat (cl/include/splat.h)."""
+    return SHAPE_SUMS + max(channels, 2) + with_depth
 
 
 def blend_defines(with_depth: bool, smooth_cutoff: bool = False, depth_percent: int = 0
                   ) -> Defines:
     """The build-time choices of both kernels; a depth at a share of the light has no adjoint."""
-    choices = ("WITH_DEPTH", int(with_depth)), ("SMOOTH_CUTOFF", int(smooth_cutoff))
-    return (*choices, ("DEPTH_PERCENT", depth_percent)) if with_depth and depth_percent else choices
+    return (("WITH_DEPTH", int(with_depth)), ("SMOOTH_CUTOFF", int(smooth_cutoff)),
+            ("DEPTH_PERCENT", depth_percent if with_depth else 0))
 
 
-def layer_defines(layers: Array | None) -> Defines:
-    """The build-time choices that follow from layers uchar[3 or 7, H, W]; none without."""
-    if layers is None:
+def backdrop_defines(backdrop: Array | None) -> Defines:
+    """The build-time choice that follows from a backdrop uchar[3 or 7, H, W]."""
+    return ("BACKDROP_PLANES", 0 if backdrop is None else len(backdrop)),
+
+
+def feature_defines(features: Features | None) -> Defines:
+    """The build-time choices that follow from features; none without."""
+    if features is None:
         return ()
-    return ("WITH_LAYERS", 1), ("WITH_FRONT", int(len(layers) == FRONT_AND_BACK_PLANES))
-
-
-def bytes_or(token: Array, images: Array | None) -> Array:
-    """uchar[C, H, W], or where there is none some other memory that is not read."""
-    return token.viewed(np.uint8, 1, 1, token.nbytes) if images is None else images
+    return ("WITH_FEATURES", 1), ("CHANNELS", features.rows.shape[1])
 
 
 def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, background: Array,
           defines: Defines, result: Blended | None = None, exposure: Exposure | None = None,
-          layers: Array | None = None) -> Blended:
+          backdrop: Array | None = None, features: Features | None = None) -> Blended:
     """Blend splats over a background.
 
     Parameters
@@ -147,71 +186,74 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
     splats : real[V, 12] (cl/include/splat.h).
     pairs : those of the frame, or of a band of it.
     width, height : size of the image, pixels.
-    background : real[3].
+    background : real[3]; of features real[C].
     defines : of `blend_defines`.
     result : that of the bands before, to which the tiles of this one are added; None: a new one.
     exposure : a response that is applied as well, the same for all bands.
-    layers : uchar[3 or 7, H, W], what lies behind, in place of `background`, and in front, which
-        only `exposed` shows (cl/include/layers.h); None: nothing.
+    backdrop : uchar[3 or 7, H, W], what lies behind, in place of `background`, and in front, which
+        only `exposed` shows (cl/include/respond.h); None: nothing.
+    features : blended in place of the colours; without an exposure and a backdrop.
     """
-    with_depth = dict(defines)["WITH_DEPTH"]
+    with_depth, channels = dict(defines)["WITH_DEPTH"], len(background)
     if result is None:
-        depth_shape, image = (height, width) if with_depth else (1, 1), (3, height, width)
+        image = channels, height, width
         result = Blended(device.empty(image), device.empty((height, width)),
-                         device.empty((height, width), np.int32), device.empty(depth_shape),
+                         device.empty((height, width), np.int32),
+                         device.empty((height, width)) if with_depth else None,
                          device.empty(image) if exposure else None)
-    nothing = result.depth.reshaped(1, *result.depth.shape)
-    transforms, view, vignetting = exposure or Exposure(device.empty((1, TRANSFORM_REALS)), 0)
-    camera, lens_of, lenses = vignetting or (background, pairs.counts, transforms)  # not read
+    transforms, view, vignetting = exposure or (None, None, None)
+    camera, lens_of, lenses = vignetting or (None, None, None)
     result.checkpoints = result.depth_checkpoints = None  # free those of the band before
     if pairs.bucket_tiles is not None:
         states = len(pairs.bucket_tiles), device.tile**2
-        result.checkpoints = device.empty((*states, 4))
-        result.depth_checkpoints = device.empty(states if with_depth else (1, 1))
-    if layers is not None and layers.shape[1:] != (height, width):
-        raise ShapeError(f"layers of {layers.shape[1:]} for an image of {(height, width)}")
-    device.launch(BLEND, (*defines, *layer_defines(layers),
-                          ("WITH_EXPOSURE", int(exposure is not None)),
+        result.checkpoints = device.empty((*states, channels + 1))
+        result.depth_checkpoints = device.empty(states) if with_depth else None
+    device.launch(BLEND, (*defines, *backdrop_defines(backdrop), *feature_defines(features),
+                          ("WITH_RESPONSE", int(exposure is not None)),
                           ("WITH_VIGNETTING", int(vignetting is not None))),
-                  width=width, height=height, tiles_x=pairs.tiles_x, first_tile=pairs.tiles.start,
+                  width=width, height=height, first_tile=pairs.tiles.start,
                   background=background, ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
-                  splats=splats, image=result.image, transmittance=result.transmittance,
-                  last_contributor=result.last_contributor, depth=result.depth, view=view,
-                  transforms=transforms, camera=camera, lens_of=lens_of, lenses=lenses,
-                  layers=bytes_or(background, layers),
-                  exposed=nothing if result.exposed is None else result.exposed,
+                  splats=splats, **_of_features(features), image=result.image,
+                  transmittance=result.transmittance, last_contributor=result.last_contributor,
+                  depth=result.depth_channel, view=view, transforms=transforms, camera=camera,
+                  lens_of=lens_of, lenses=lenses, backdrop=backdrop, exposed=result.exposed,
                   bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,
                   depth_checkpoints=result.depth_checkpoints)
     return result
 
 
 def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended, background: Array,
-                  grad_image: Array, grad_depth: Array, grad_transmittance: Array,
-                  defines: Defines, earlier: Array | None = None, layers: Array | None = None
-                  ) -> SplatGrads:
+                  grad_image: Array, grad_depth: Array | None, grad_transmittance: Array | None,
+                  defines: Defines, earlier: Array | None = None, backdrop: Array | None = None,
+                  features: Features | None = None) -> SplatGrads:
     """Gradients by splat from gradients by what `blend` made.
 
     Parameters
     ----------
-    device, splats, pairs, background, defines, layers : as they were for `blend`.
+    device, splats, pairs, background, defines, backdrop, features : as they were for `blend`.
     blended : what `blend` returned.
-    grad_image : real[3, H, W].
-    grad_depth, grad_transmittance : real[H, W], or tokens of 1 x 1 without the depth channel.
-    earlier : real[V, 9 or 10], the sums over earlier bands; None: zero.
+    grad_image : of the shape of the image.
+    grad_depth, grad_transmittance : real[H, W]; None without the depth channel.
+    earlier : real[V, S], the sums over earlier bands; None: zero.
     """
-    _, height, width = blended.image.shape
-    columns = PAIR_SUMS + dict(defines)["WITH_DEPTH"]
-    pair_grads = device.empty((pairs.count, columns))
-    behind = layer_defines(layers)[:1] if READS_BACKGROUND.of(device) else ()
-    device.launch(ADJOINT, (*defines, *behind), width=width, height=height, tiles_x=pairs.tiles_x,
-                  first_tile=pairs.tiles.start, background=background,
-                  layers=bytes_or(background, layers), ranges=pairs.ranges,
-                  sorted_splats=pairs.sorted_splats, emission_indices=pairs.emission_indices,
-                  splats=splats, image=blended.image, transmittance=blended.transmittance,
-                  depth=blended.depth, last_contributor=blended.last_contributor,
-                  grad_image=grad_image, grad_depth=grad_depth,
-                  grad_transmittance=grad_transmittance, pair_grads=pair_grads,
-                  counts=pairs.counts, bucket_offsets=pairs.bucket_offsets,
-                  bucket_tiles=pairs.bucket_tiles,
-                  checkpoints=blended.checkpoints, depth_checkpoints=blended.depth_checkpoints)
-    return SplatGrads(pair_grads, pairs.splat_counts, pairs.offsets, earlier)
+    channels, height, width = blended.image.shape
+    with_depth = dict(defines)["WITH_DEPTH"]
+    pair_grads = device.empty((pairs.count, pair_columns(channels, bool(with_depth))))
+    behind = backdrop_defines(backdrop) if READS_BACKGROUND.of(device) else ()
+    device.launch(ADJOINT, (*defines, *behind, *feature_defines(features)), width=width,
+                  height=height, first_tile=pairs.tiles.start, background=background,
+                  backdrop=backdrop, ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
+                  emission_indices=pairs.emission_indices, splats=splats,
+                  **_of_features(features), image=blended.image,
+                  transmittance=blended.transmittance, depth=blended.depth_channel,
+                  last_contributor=blended.last_contributor, grad_image=grad_image,
+                  grad_depth=grad_depth, grad_transmittance=grad_transmittance,
+                  pair_grads=pair_grads, counts=pairs.counts, bucket_offsets=pairs.bucket_offsets,
+                  bucket_tiles=pairs.bucket_tiles, checkpoints=blended.checkpoints,
+                  depth_checkpoints=blended.depth_checkpoints)
+    return SplatGrads(pair_grads, pairs.splat_counts, pairs.offsets,
+                      (("WITH_DEPTH", with_depth), *feature_defines(features)), earlier)
+
+
+def _of_features(features: Features | None) -> dict[str, Array | None]:
+    return {"visible": features and features.visible, "features": features and features.rows}

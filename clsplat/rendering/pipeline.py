@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 
@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.constants import TRANSFORM_REALS
 from clsplat.device import Array, Device
+from clsplat.errors import ShapeError
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering.bands import choose_bands, pair_limit
 from clsplat.rendering.bin import NEEDS_ORDER, Pairs, TooManyPairs, bin_splats, count_tiles
 from clsplat.rendering.blend import (
+    MOST_CHANNELS,
     Blended,
     Defines,
     Exposure,
+    Features,
     SplatGrads,
     blend,
     blend_adjoint,
@@ -28,6 +31,7 @@ from clsplat.rendering.blend import (
 from clsplat.rendering.cull import cull
 from clsplat.rendering.project import (
     LOW_PASS,
+    Gradients,
     Rows,
     pack_camera,
     project,
@@ -73,7 +77,8 @@ class Frame:
         pairs.
     blended : the image, and its depth and transmittance.
     with_depth : whether there is a depth channel.
-    layers : uchar[3 or 7, H, W], what was blended with as well; None: nothing.
+    backdrop : uchar[3 or 7, H, W], what was blended with as well; None: nothing.
+    features : what was blended in place of the colours; None: the colours were.
     """
 
     camera: Array
@@ -87,17 +92,18 @@ class Frame:
     room: Room | None
     blended: Blended
     with_depth: bool
-    layers: Array | None = None
+    backdrop: Array | None = None
+    features: Features | None = None
 
     @property
     def image(self) -> Array:
-        """real[3, H, W]."""
+        """real[3, H, W]; of features real[C, H, W]."""
         return self.blended.image
 
     @property
     def exposed(self) -> Array:
-        """real[3, H, W], the image with a colour transform and behind the front layer, where
-        these were given."""
+        """real[3, H, W], the image with a colour transform and behind what is in
+        front of it, where these were given."""
         return self.image if self.blended.exposed is None else self.blended.exposed
 
     @property
@@ -111,29 +117,6 @@ class Frame:
         return self.pairs or bin_splats(
             self.splats.device, self.splats, self.counts, self.order, width, height, band,
             room=self.room.pairs if self.room else None)
-
-
-@dataclass(eq=False)
-class Gradients:
-    """Gradients of a loss by the V gaussians that a view saw.
-
-    Attributes
-    ----------
-    fields : name -> real[V, *row shape]; of one view a `FieldGradients`, which computes those by
-        the harmonics when they are asked for.
-    means : real[V, 2], by the mean of the splat, pixels; None for a mean of several views.
-    rows : uint[V], the row of each gaussian, or NO_ROW where the gradient is not finite.
-    visible : uint[V], the row of each gaussian, whatever its gradient.
-    counts : uint[FRAME_COUNTS]; only the first counts[COUNT_VISIBLE] of the V exist.
-    pose_terms : real[V, 6], their shares in the gradient by the camera's pose, if it was asked for.
-    """
-
-    fields: Mapping[str, Array]
-    means: Array | None
-    rows: Array
-    visible: Array
-    counts: Array
-    pose_terms: Array | None = None
 
 
 class Renderer:
@@ -168,9 +151,9 @@ class Renderer:
         self.orthographic, self.depth_percent = orthographic, depth_percent
         self.low_pass = low_pass
         self.pair_limit = pair_limit
-        self.background, self._token = device.zeros((3,)), device.zeros((1, 1))
-        self.skipped = device.zeros((1,), np.uint32)
+        self.background, self.skipped = device.zeros((3,)), device.zeros((1,), np.uint32)
         self.background.write(background)
+        self._zeros: dict[int, Array] = {}  # number of channels -> the background of features
         self._project_defines = project_defines(sh_degree, antialiased, orthographic)
 
     def pack(self, camera: Camera) -> Array:
@@ -187,7 +170,8 @@ class Renderer:
 
     def render(self, rows: Rows, camera: Array, width: int, height: int, sh_degree: int,
                with_depth: bool = False, room: Room | None = None, counts: Array | None = None,
-               exposure: Exposure | None = None, layers: Array | None = None) -> Frame:
+               exposure: Exposure | None = None, backdrop: Array | None = None,
+               features: Array | None = None) -> Frame:
         """Render gaussians from a camera.
 
         Parameters
@@ -201,11 +185,20 @@ class Renderer:
             they are too small fails (cl/include/counts.h). None: exact sizes; waits twice.
         counts : uint[FRAME_COUNTS], for a frame with a room; its sums and its failure go on.
         exposure : a response, with which the frame also is `exposed`.
-        layers : uchar[3 or 7, H, W], what lies behind and in front (`blend`); None: nothing.
+        backdrop : uchar[3 or 7, H, W], what lies behind and in front (`blend`); None: nothing.
+        features : real[N, C], blended over zeros in place of the colours, so that the image is
+            real[C, H, W]; C is 1 to MOST_CHANNELS. Without an exposure and a backdrop.
         """
         device = self.device
         counts = new_counts(device) if counts is None else counts
-        if layers is not None and exposure is None:  # what is in front shows where it is exposed
+        if features is not None:
+            if exposure is not None or backdrop is not None:
+                raise ValueError("features have neither an exposure nor a backdrop")
+            if not 1 <= features.shape[1] <= MOST_CHANNELS:
+                raise ShapeError(f"features have 1 to {MOST_CHANNELS} channels, not "
+                                 f"{features.shape[1]}")
+            sh_degree = 0  # colours are not drawn
+        if backdrop is not None and exposure is None:  # what is in front shows where it is exposed
             exposure = Exposure(device.upload(np.eye(3, 4).reshape(1, TRANSFORM_REALS)), 0)
         visible = self._visible(rows, camera, counts, room)
         splats, depth_keys = project(device, rows, visible, counts, camera, sh_degree,
@@ -219,17 +212,17 @@ class Renderer:
                                    room=room.pairs if room else None)
             except TooManyPairs:
                 bands = choose_bands(count_tiles(device, splats, counts, width, height), limit)
-        blended = None
+        blended, of_visible = None, None if features is None else Features(features, visible)
         for band in bands:
             blended = blend(
                 device, splats,
                 pairs or bin_splats(device, splats, counts, order, width, height, band,
                                     room=room.pairs if room else None),
-                width, height, self.background, self._blend_defines(with_depth), blended, exposure,
-                layers)
+                width, height, self._background(of_visible), self._blend_defines(with_depth),
+                blended, exposure, backdrop, of_visible)
         assert blended is not None  # an image has at least one band
         return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
-                     with_depth, layers)
+                     with_depth, backdrop, of_visible)
 
     def most_pairs(self, width: int, height: int, with_depth: bool) -> int:
         """The largest number of pairs that a band of a frame may have."""
@@ -272,15 +265,15 @@ class Renderer:
         ----------
         rows : as they were for `render`.
         frame : what `render` returned.
-        grad_image : real[3, H, W].
+        grad_image : of the shape of the image.
         grad_depth, grad_transmittance : real[H, W], for a frame with depth; None: zero.
         frozen, statistics, masked, with_pose : as for `project_adjoint`.
         """
         if self.orthographic or self.depth_percent:
             raise ValueError("orthographic frames and depths at some light have no adjoint")
-        device, zero = self.device, self._token
+        device, zero = self.device, None
         if frame.with_depth and (grad_depth is None or grad_transmittance is None):
-            zero = device.empty(frame.blended.depth.shape)
+            zero = device.empty(frame.image.shape[1:])
             zero.fill(0)
         grads = (grad_image, zero if grad_depth is None else grad_depth,
                  zero if grad_transmittance is None else grad_transmittance)
@@ -290,22 +283,32 @@ class Renderer:
                 device, self._splat_grads(frame, frame.pairs_of(band), grads, earlier),
                 frame.counts, self._project_defines)
         splat_grads = self._splat_grads(frame, frame.pairs_of(last), grads, earlier)
-        fields, means, active, pose_terms = project_adjoint(
+        return project_adjoint(
             device, rows, frame.visible, frame.counts, frame.camera, frame.sh_degree,
             self._project_defines, splat_grads, self.skipped, frame.size, frozen, statistics,
             masked, with_pose)
-        return Gradients(fields, means, active, frame.visible, frame.counts, pose_terms)
 
-    def _splat_grads(self, frame: Frame, pairs: Pairs, grads: tuple[Array, Array, Array],
+    def _splat_grads(self, frame: Frame, pairs: Pairs,
+                     grads: tuple[Array, Array | None, Array | None],
                      earlier: Array | None) -> SplatGrads:
         """The gradients of a band, after those of earlier bands."""
         device, defines = self.device, self._blend_defines(frame.with_depth)
+        background = self._background(frame.features)
         if pairs is not frame.pairs and pairs.bucket_tiles is not None:  # for the checkpoints
             width, height = frame.size
-            blend(device, frame.splats, pairs, width, height, self.background, defines,
-                  frame.blended, layers=frame.layers)
-        return blend_adjoint(device, frame.splats, pairs, frame.blended, self.background, *grads,
-                             defines, earlier, frame.layers)
+            blend(device, frame.splats, pairs, width, height, background, defines,
+                  frame.blended, backdrop=frame.backdrop, features=frame.features)
+        return blend_adjoint(device, frame.splats, pairs, frame.blended, background, *grads,
+                             defines, earlier, frame.backdrop, frame.features)
+
+    def _background(self, features: Features | None) -> Array:
+        """The background: real[3], or of features real[C] of zeros."""
+        if features is None:
+            return self.background
+        channels = features.rows.shape[1]
+        if channels not in self._zeros:
+            self._zeros[channels] = self.device.zeros((channels,))
+        return self._zeros[channels]
 
     def _blend_defines(self, with_depth: bool) -> Defines:
         return blend_defines(with_depth, self.smooth_cutoff, self.depth_percent)

@@ -1,15 +1,16 @@
 """Gaussians to splats, and the adjoint (cl/project.cl)."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from clsplat.constants import CAMERA_REALS, FRAME_COUNTS, POSE_REALS, SPLAT_REALS
-from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups
+from clsplat.constants import CAMERA_REALS, COUNT_VISIBLE, FRAME_COUNTS, POSE_REALS, SPLAT_REALS
+from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, Only, each, groups
 from clsplat.gaussians import LEARNED
-from clsplat.rendering.blend import Defines, SplatGrads, bytes_or
+from clsplat.rendering.blend import Defines, SplatGrads
 
 Rows = Mapping[str, Array]  # field name -> real[N, *row shape]
 
@@ -35,9 +36,12 @@ ADJOINT = Kernel("project.cl", "project_adjoint",
                  grad_positions=("real", "V", 3), **_BY_COLOUR, grad_opacity_logits=("real", "V"),
                  grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4),
                  grad_means=("real", "V", 2), active=("uint", "V"), skipped=("uint", 1),
-                 frozen=("uint", "F"), grad_norm_sum=("real", "G"), seen_count=("uint", "H"),
-                 photo=("uchar", "C", "Y", "X"),
-                 pose_terms=("real", "Q", "W"))
+                 frozen=Only("WITH_FROZEN", ("uint", "N")),
+                 grad_norm_sum=Only("WITH_STATISTICS", ("real", "N")),
+                 seen_count=Only("WITH_STATISTICS", ("uint", "N")),
+                 photo=Only("MASKED", ("uchar", 4, "Y", "X")),
+                 pose_terms=Only("WITH_POSE", ("real", "V", POSE_REALS)),
+                 grad_features=Only("WITH_FEATURES", ("real", "V", "CH")))
 SUM_PAIRS = Kernel(
     "project.cl", "sum_pairs",
     Forms(item=each("V"), group=groups("V/PROJECT_GROUP", "PROJECT_GROUP")),
@@ -87,6 +91,42 @@ class FieldGradients(Mapping[str, Array]):
 
     def __len__(self) -> int:
         return len(LEARNED)
+
+
+@dataclass(eq=False)
+class Gradients:
+    """Gradients of a loss by the V gaussians that a view saw.
+
+    Attributes
+    ----------
+    fields : name -> real[V, *row shape]; of one view a `FieldGradients`.
+    means : real[V, 2], by the mean of the splat, pixels; None for a mean of several views.
+    rows : uint[V], the row of each gaussian, or NO_ROW where the gradient is not finite.
+    visible : uint[V], the row of each gaussian, whatever its gradient.
+    counts : uint[FRAME_COUNTS]; only the first counts[COUNT_VISIBLE] of the V exist.
+    pose_terms : real[V, 6], their shares in the gradient by the camera's pose, if it was asked for.
+    features : real[V, C], by the features, if they were blended.
+    """
+
+    fields: Mapping[str, Array]
+    means: Array | None
+    rows: Array
+    visible: Array
+    counts: Array
+    pose_terms: Array | None = None
+    features: Array | None = None
+
+    def by_pose(self) -> NDArray[np.float64]:
+        """float64[6], the gradient by the pose; waits.
+
+        The first three are by a small turn of the scene about the camera's centre, w for the new
+        rotation exp([w]x) R, in camera axes; the last three by the camera's centre, world.
+        """
+        if self.pose_terms is None:
+            raise ValueError("the gradient by the pose was not asked for")
+        count = self.counts.download()[COUNT_VISIBLE]
+        sums = self.pose_terms.download()[:count].sum(axis=0, dtype=np.float64)
+        return np.concatenate([sums[:3], -sums[3:]])
 
 
 def project_defines(sh_degree: int, antialiased: bool, orthographic: bool = False) -> Defines:
@@ -151,8 +191,7 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
                     sh_degree: int, defines: Defines, splat_grads: SplatGrads, skipped: Array,
                     size: tuple[int, int] = (0, 0), frozen: Array | None = None,
                     statistics: tuple[Array, Array] | None = None, masked: Array | None = None,
-                    with_pose: bool = False
-                    ) -> tuple[FieldGradients, Array, Array, Array | None]:
+                    with_pose: bool = False) -> Gradients:
     """Gradients by the gaussians from gradients by their splats.
 
     Parameters
@@ -167,37 +206,31 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
     masked : uchar[4, H, W], the photo, if pixels of it do not count: the view saw what it shows
         elsewhere, and what has a gradient; None: it saw all that are visible.
     with_pose : whether the gradient by the pose of the camera is needed.
-
-    Returns
-    -------
-    The gradients by field; real[V, 2], by the means in pixels; uint[V], the row of each gradient,
-    or NO_ROW where it is not finite or left out; real[V, 6], the shares of the gaussians in the
-    gradient by the pose (cl/project.cl), or None.
     """
     choices: Defines = (("WITH_FROZEN", int(frozen is not None)),
-                        ("WITH_STATISTICS", int(statistics is not None)))
-    if masked is not None and statistics:
-        choices = (*choices, ("MASKED", 1))
-    if with_pose:
-        choices = (*choices, ("WITH_POSE", 1))
+                        ("WITH_STATISTICS", int(statistics is not None)),
+                        ("MASKED", int(masked is not None and statistics is not None)),
+                        ("WITH_POSE", int(with_pose)))
     summed, pairs = _summed(splat_grads)
     count, defines = len(visible), (*_of_degree(defines, sh_degree), *choices, *summed)
     stored = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in LEARNED
               if f.name not in ("sh_constant", "sh_rest")}
-    norms, seen = statistics or (stored["opacity_logits"], skipped)
+    norms, seen = statistics or (None, None)
     grad_colours, directions = device.empty((count, 3)), device.empty((count, 3))
     grad_means, active = device.empty((count, 2)), device.empty(count, np.uint32)
     pose_terms = device.empty((count, POSE_REALS)) if with_pose else None
+    channels = dict(splat_grads.defines).get("CHANNELS")
+    grad_features = device.empty((count, channels)) if channels else None
     device.launch(ADJOINT, defines, work=max(count, 1), half_width=size[0] / 2,
                   half_height=size[1] / 2, counts=counts, rows=visible, camera=camera,
                   **_learned(rows), **pairs, **{f"grad_{name}": g for name, g in stored.items()},
                   grad_colours=grad_colours, directions=directions, grad_means=grad_means,
-                  active=active, skipped=skipped, frozen=skipped if frozen is None else frozen,
-                  grad_norm_sum=norms, seen_count=seen, photo=bytes_or(camera, masked),
-                  pose_terms=grad_means if pose_terms is None else pose_terms)
-    gradients = FieldGradients(device, stored, grad_colours, directions,
-                               rows["sh_rest"].shape[1], defines, counts)
-    return gradients, grad_means, active, pose_terms
+                  active=active, skipped=skipped, frozen=frozen, grad_norm_sum=norms,
+                  seen_count=seen, photo=masked, pose_terms=pose_terms,
+                  grad_features=grad_features)
+    fields = FieldGradients(device, stored, grad_colours, directions, rows["sh_rest"].shape[1],
+                            defines, counts)
+    return Gradients(fields, grad_means, active, visible, counts, pose_terms, grad_features)
 
 
 def sum_pairs(device: Device, splat_grads: SplatGrads, counts: Array, defines: Defines) -> Array:
@@ -212,7 +245,7 @@ def sum_pairs(device: Device, splat_grads: SplatGrads, counts: Array, defines: D
 
     Returns
     -------
-    real[V, 9 or 10], the sums over these bands.
+    real[V, S], the sums over these bands.
     """
     summed, pairs = _summed(splat_grads)
     totals = splat_grads.earlier
@@ -226,7 +259,7 @@ def sum_pairs(device: Device, splat_grads: SplatGrads, counts: Array, defines: D
 def _summed(splat_grads: SplatGrads) -> tuple[Defines, dict[str, Array]]:
     """The defines and arguments of kernels that add up the gradients of pairs."""
     grads, earlier = splat_grads.pair_grads, splat_grads.earlier
-    return ((("SUMS", grads.shape[1]), ("CARRIED", int(earlier is not None))),
+    return ((*splat_grads.defines, ("CARRIED", int(earlier is not None))),
             dict(splat_counts=splat_grads.splat_counts, offsets=splat_grads.offsets,
                  pair_grads=grads, earlier=grads if earlier is None else earlier))
 

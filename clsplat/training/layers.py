@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 LOOKED_AT = 4096  # gaussians at a time, until one is found that a view shows
 HIDDEN = -100.0  # opacity logit of gaussians that are not drawn
-Planes = NDArray[np.uint8]  # [3 or 7, H, W], see cl/include/layers.h
+Planes = NDArray[np.uint8]  # [3 or 7, H, W], see cl/include/respond.h
 
 
 class Layers:
     """`layers[i]` is what view i shows of the surroundings at the present level.
 
     It is uchar[3, H, W] where nothing is in front of the block, else uchar[7, H, W]
-    (cl/include/layers.h). The layers of a level stay on the device if they fit beside its photos,
+    (cl/include/respond.h). The layers of a level stay on the device if they fit beside its photos,
     otherwise in a temporary file.
 
     Parameters

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from clsplat.device import Array
 from clsplat.primitives.reduce import add_to
 from clsplat.rendering.blend import Exposure
-from clsplat.rendering.pipeline import Frame, Gradients
+from clsplat.rendering.pipeline import Frame
+from clsplat.rendering.project import Gradients
 
 if TYPE_CHECKING:
     from clsplat.densify.grow import Growth

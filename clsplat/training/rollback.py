@@ -59,7 +59,7 @@ def _loss(step: Step, rows: Rows, samples: Sequence[ViewPass]) -> float:
     for sample in samples:
         photo, (_, height, width) = sample.photo, sample.photo.shape
         frame = step.renderer.render(rows, sample.camera, width, height, step.options.sh_degree,
-                                     layers=sample.backdrop)
+                                     backdrop=sample.backdrop)
         partials, _ = image_loss(step.device, frame.exposed, photo, step.options.ssim_weight)
         losses.append(loss_value(partials, 3 * height * width, step.options.ssim_weight)[0])
     return float(np.mean(losses))

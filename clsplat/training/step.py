@@ -22,7 +22,8 @@ from clsplat.loss.image_loss import is_masked
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.rates import learning_rates
 from clsplat.options import ScheduledOptions
-from clsplat.rendering.pipeline import Gradients, Renderer, Room
+from clsplat.rendering.pipeline import Renderer, Room
+from clsplat.rendering.project import Gradients
 from clsplat.schedule import Plan, Schedule
 from clsplat.training.growth import Round, ScoringViews
 from clsplat.training.model import Model

@@ -42,12 +42,13 @@ def renderer_of(device, case, **options):
                     **options)
 
 
-def render(device, case, rows=None, with_depth=False, exposure=None, **options):
+def render(device, case, rows=None, with_depth=False, exposure=None, features=None, **options):
     """(renderer, rows on the device, frame) of a case."""
     renderer = renderer_of(device, case, **options)
     rows = upload_rows(device, case["rows"] if rows is None else rows)
     frame = renderer.render(rows, renderer.pack(camera_of(case)), *size_of(case), case["degree"],
-                            with_depth, exposure=exposure)
+                            with_depth, exposure=exposure,
+                            features=None if features is None else device.upload(features))
     return renderer, rows, frame
 
 
@@ -126,14 +127,15 @@ def pack_splats(splats, order):
         splats["depths"][order]])
 
 
-def grads_of_sums(sums, conics):
-    """Gradients by splat (names of the reference) from the adjoint's sums[V, 9 or 10]."""
-    x, y, xx, xy, yy = sums[:, 4:9].T
+def grads_of_sums(sums, conics, channels=3):
+    """Gradients by splat (names of the reference) from the adjoint's sums[V, S]."""
+    opacities, x, y, xx, xy, yy = sums[:, :6].T
+    depths = sums[:, 6 + max(channels, 2):]
     a, b, c = conics.T
-    return {"colours": sums[:, :3], "opacities": sums[:, 3],
+    return {"colours": sums[:, 6:6 + channels], "opacities": opacities,
             "means": np.stack([a * x + b * y, b * x + c * y], axis=1),
             "conics": -np.stack([xx / 2, xy, yy / 2], axis=1),
-            "depths": sums[:, 9] if sums.shape[1] > 9 else np.zeros(len(sums))}
+            "depths": depths.sum(axis=1)}
 
 
 def small_scene(seed=0, count=24, **size):

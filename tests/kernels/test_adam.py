@@ -10,7 +10,7 @@ from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.optimise.numpy_adam import NumpyAdam
 from clsplat.primitives.compact import new_counts
-from clsplat.rendering.pipeline import Gradients
+from clsplat.rendering.project import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
 from tests.reference.adam import adam

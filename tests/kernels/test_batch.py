@@ -7,7 +7,7 @@ from clsplat.constants import COUNT_FAILED, COUNT_NEEDED_VISIBLE, COUNT_VISIBLE,
 from clsplat.device.array import Array
 from clsplat.optimise.batch import BatchMean
 from clsplat.primitives.compact import new_counts
-from clsplat.rendering.pipeline import Gradients
+from clsplat.rendering.project import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
 from tests.reference import batch as reference

@@ -8,6 +8,7 @@ from clsplat.primitives.compact import new_counts
 from clsplat.rendering.bin import bin_splats
 from clsplat.rendering.blend import (
     Exposure,
+    Features,
     Vignetting,
     blend,
     blend_adjoint,
@@ -27,7 +28,7 @@ class Blended:
     """Splats blended on a device: image, transmittance, depth, and the adjoint."""
 
     def __init__(self, device, rows, size, background=BACKGROUND, with_depth=True, smooth=False,
-                 more=(), room=None):
+                 more=(), room=None, features=None):
         self.device, self.with_depth = device, with_depth
         self.defines = blend_defines(with_depth, smooth) + more
         self.background = device.upload(np.asarray(background, float))
@@ -35,19 +36,22 @@ class Blended:
         self.pairs = bin_splats(
             device, self.splats, new_counts(device, len(rows)),
             device.upload(np.arange(len(rows), dtype=np.uint32)), *size, room=room)
-        self.blended = blend(device, self.splats, self.pairs, *size, self.background, self.defines)
+        self.features = features and Features(*map(device.upload, features))
+        self.blended = blend(device, self.splats, self.pairs, *size, self.background, self.defines,
+                             features=self.features)
         self.image = self.blended.image.download()
         self.transmittance = self.blended.transmittance.download()
         self.last_contributor = self.blended.last_contributor.download()
-        self.depth = self.blended.depth.download()
+        self.depth = self.blended.depth.download() if with_depth else None
 
     def adjoint(self, grad_image, grad_depth=None, grad_transmittance=None):
         by_depth, by_transmittance = (
             self.device.upload(np.zeros(self.depth.shape) if grad is None else grad)
-            for grad in (grad_depth, grad_transmittance))
+            if self.with_depth else None for grad in (grad_depth, grad_transmittance))
         by_pair = blend_adjoint(
             self.device, self.splats, self.pairs, self.blended, self.background,
-            self.device.upload(grad_image), by_depth, by_transmittance, self.defines)
+            self.device.upload(grad_image), by_depth, by_transmittance, self.defines,
+            features=self.features)
         return sum_pairs(self.device, by_pair, self.pairs.counts,
                          project_defines(0, False)).download()
 
@@ -83,6 +87,33 @@ def check(device, splats, order, size, what, with_depth=True, smooth=False):
 @pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
 def test_image_and_gradients(device, size):
     check(device, *cases.splats(40, *size), size, f"{size}")
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("channels", [1, pytest.param(3, marks=pytest.mark.slow), 8])
+@pytest.mark.parametrize("with_depth", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_features_of_any_number_of_channels(device, channels, with_depth):
+    """In place of the colours of the splats, which are nan; of gaussians in another order."""
+    size, rng = (37, 29), np.random.default_rng(channels)
+    (splats, order), background = cases.splats(60, *size), cases.single(rng.random(channels))
+    splats["colours"] = cases.single(rng.normal(size=(60, channels)))
+    fragile, precision = reference.fragile_pixels(splats, order, *size), precision_of(device)
+    image, transmittance, _ = reference.blend(splats, order, *size, background)
+    grads = [np.where(fragile, 0, rng.normal(size=(*shape, 29, 37)))
+             for shape in ((channels,), *[()] * 2 * with_depth)]
+    expected = reference.blend_adjoint(splats, order, *size, background, *grads)
+
+    places = rng.permutation(60).astype(np.uint32)
+    features = np.zeros((60, channels))
+    features[places] = splats["colours"][order]
+    rows = pack_splats({**splats, "colours": np.full((60, 3), np.nan)}, order)
+    actual = Blended(device, rows, size, background, with_depth, features=(features, places))
+    close(np.where(fragile, image, actual.image), image, precision, "image")
+    close(np.where(fragile, transmittance, actual.transmittance), transmittance, precision,
+          "transmittance")
+    sums = grads_of_sums(actual.adjoint(*grads), splats["conics"][order], channels)
+    for name in SUM_NAMES if with_depth else SUM_NAMES[:-1]:
+        close(sums[name], expected[name][order], precision, f"gradient of {name}")
 
 
 @pytest.mark.oclgrind

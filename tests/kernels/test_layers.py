@@ -1,4 +1,4 @@
-"""What surrounds a block, as layers behind and in front of what is blended (cl/include/layers.h).
+"""What surrounds a block, as layers behind and in front of what is blended (cl/include/respond.h).
 """
 
 import numpy as np
@@ -56,15 +56,15 @@ class Drawn:
             np.arange(len(rows), dtype=np.uint32)), *self.size)
         self.blended = blend(device, self.splats, self.pairs, *self.size, self.background,
                              self.defines, exposure=self.exposures.of(1, self.camera),
-                             layers=self.given)
+                             backdrop=self.given)
 
     def adjoint(self, grad):
         """The gradient by the image, the sums of those by the transform, and those by splat."""
-        device, token = self.device, self.device.empty((1, 1))
+        device = self.device
         by_image, partials = self.exposures.adjoint(
             1, self.camera, self.blended.image, device.upload(grad), self.given)
         by_pair = blend_adjoint(device, self.splats, self.pairs, self.blended, self.background,
-                                by_image, token, token, self.defines, layers=self.given)
+                                by_image, None, None, self.defines, backdrop=self.given)
         sums = sum_pairs(device, by_pair, self.pairs.counts, project_defines(0, False)).download()
         return by_image.download(), partials.download().astype(float).sum(axis=0), sums
 
@@ -140,7 +140,7 @@ def test_a_frame_in_bands_has_the_same_bytes(device):
     for limit in (None, frame.pairs.count // 2):
         renderer.pair_limit = limit
         drawn = renderer.render(rows, renderer.pack(camera_of(case)), width, height,
-                                case["degree"], layers=layers)
+                                case["degree"], backdrop=layers)
         fields = renderer.adjoint(rows, drawn, grad).fields
         results.append([drawn.image, drawn.exposed, fields["positions"], fields["sh_constant"]])
     assert len(drawn.bands) > 1
@@ -150,7 +150,7 @@ def test_a_frame_in_bands_has_the_same_bytes(device):
 def test_layers_of_another_size_are_refused(device):
     splats, order = cases.splats(4, 8, 8)
     drawn = Drawn(device, splats, order, layers_of((8, 8), 3))
-    with pytest.raises(ShapeError, match="layers of"):
+    with pytest.raises(ShapeError, match="backdrop"):
         blend(device, drawn.splats, drawn.pairs, 8, 8, drawn.background, drawn.defines,
               exposure=Exposure(drawn.exposures.transforms, 0),
-              layers=device.upload(layers_of((8, 9), 3)))
+              backdrop=device.upload(layers_of((8, 9), 3)))

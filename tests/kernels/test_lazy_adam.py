@@ -9,8 +9,7 @@ from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import DeviceAdam, corrections
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.cull import cull
-from clsplat.rendering.pipeline import Gradients
-from clsplat.rendering.project import FieldGradients, pack_camera
+from clsplat.rendering.project import FieldGradients, Gradients, pack_camera
 from tests.kernels.chain import precision_of
 from tests.reference.adam import adam
 from tests.reference.project import harmonics

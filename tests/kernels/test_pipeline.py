@@ -1,8 +1,13 @@
 """The whole chain of rendering: gaussians to image and back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from clsplat.constants import SH_C0
+from clsplat.errors import ShapeError
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import (
@@ -32,6 +37,57 @@ def test_image_and_gradients(device, name, antialiased):
 @pytest.mark.oclgrind
 def test_a_small_scene(device):
     agrees_with_reference(device, "degree_1", False, count=12)
+
+
+def test_features_that_are_colours_make_the_same_frame(device):
+    """Of degree 0 over black: the image, the gradients by shapes, also in bands, and those by the
+    features, which are those by the harmonics but for their factor."""
+    case = {**cases.gaussians("plain"), "degree": 0, "background": np.zeros(3)}
+    renderer, rows, plain = render(device, case)
+    colours = np.maximum(0, 0.5 + SH_C0 * case["rows"]["sh_constant"])
+    features, camera = device.upload(colours), renderer.pack(camera_of(case))
+    grad, results = device.upload(cotangents(case)[0]), []
+    for limit in (None, plain.pairs.count // 2):
+        renderer.pair_limit = limit
+        frame = renderer.render(rows, camera, *size_of(case), 0, features=features)
+        results.append((frame, renderer.adjoint(rows, frame, grad, with_pose=True)))
+    (frame, actual), (banded, same) = results
+    assert len(banded.bands) > 1
+    assert np.array_equal(banded.image.download(), frame.image.download())
+    assert np.array_equal(same.features.download(), actual.features.download())
+    precision, expected = precision_of(device), renderer.adjoint(rows, plain, grad, with_pose=True)
+    close(frame.image.download(), plain.image.download(), precision, "image")
+    for name in ("positions", "opacity_logits", "log_scales", "quaternions"):
+        close(actual.fields[name].download(), expected.fields[name].download(), precision, name)
+    drawn = colours[frame.visible.download()] > 0
+    close(drawn * SH_C0 * actual.features.download(), expected.fields["sh_constant"].download(),
+          precision, "features")
+    assert not actual.fields["sh_constant"].download().any()
+    close(actual.by_pose(), expected.by_pose(), precision, "pose")
+
+
+@pytest.mark.parametrize("channels", [0, 17])
+def test_features_of_too_many_channels_are_refused(float_device, channels):
+    case = cases.gaussians("plain")
+    with pytest.raises(ShapeError, match="1 to 16 channels"):
+        render(float_device, case, features=np.zeros((len(case["rows"]["positions"]), channels)))
+
+
+def test_the_gradient_by_the_pose_agrees_with_differences(double_device):
+    case = cases.gaussians("plain")
+    renderer, rows, frame = render(double_device, case, smooth_cutoff=True)
+    weights, camera = cotangents(case)[0], camera_of(case)
+    actual = renderer.adjoint(rows, frame, double_device.upload(weights), with_pose=True).by_pose()
+
+    def loss(change):
+        rotation = Rotation.from_rotvec(change[:3]).as_matrix() @ camera.rotation
+        moved = replace(camera, rotation=rotation,
+                        translation=-rotation @ (camera.position + change[3:]))
+        image = renderer.render(rows, renderer.pack(moved), *frame.size, case["degree"]).image
+        return (image.download() * weights).sum()
+
+    expected = [(loss(step) - loss(-step)) / 2e-5 for step in 1e-5 * np.eye(6)]
+    assert actual == pytest.approx(expected, rel=1e-5)
 
 
 def cotangents(case, seed=0):

@@ -8,7 +8,7 @@ import pytest
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering.bin import bin_splats
-from clsplat.rendering.blend import SplatGrads
+from clsplat.rendering.blend import SplatGrads, pair_columns
 from clsplat.rendering.cull import cull
 from clsplat.rendering.project import pack_camera, project, project_adjoint
 from tests import cases
@@ -31,8 +31,13 @@ CASES = [(name, False) for name in cases.SCENES] + [(name, True) for name in ANT
 def one_pair_each(device, sums):
     """SplatGrads of splats with one pair."""
     numbers = np.arange(len(sums), dtype=np.uint32)
-    return SplatGrads(device.upload(sums), device.upload(np.ones_like(numbers)),
-                      device.upload(numbers))
+    return grads_of_pairs(device, sums, np.ones_like(numbers), numbers)
+
+
+def grads_of_pairs(device, sums, counts, offsets):
+    """With or without the sum of the depth channel."""
+    return SplatGrads(device.upload(sums), device.upload(counts), device.upload(offsets),
+                      (("WITH_DEPTH", int(sums.shape[1] > pair_columns(3, False))),))
 
 
 def many_pairs_each(device, first):
@@ -45,7 +50,7 @@ def many_pairs_each(device, first):
     values[offsets] = first
     sums = np.array([functools.reduce(np.add, values[begin:begin + count])
                      for begin, count in zip(offsets, counts)])
-    return (SplatGrads(*map(device.upload, (values, counts, offsets))), one_pair_each(device, sums))
+    return grads_of_pairs(device, values, counts, offsets), one_pair_each(device, sums)
 
 
 class Projected:
@@ -65,15 +70,14 @@ class Projected:
         self.sums = cases.single(np.random.default_rng(3).normal(
             size=(len(self.visible), 9 + with_depth)))
         self.skipped = device.zeros(1, np.uint32)
-        gradients, self.grad_means, active, _ = project_adjoint(
+        gradients = project_adjoint(
             device, rows, seen, counts, camera, case["degree"], defines,
             splat_grads(device, self.sums), self.skipped)
-        self.active = active.download()
-        self.grad_means = self.grad_means.download()
+        self.active, self.grad_means = gradients.rows.download(), gradients.means.download()
         self.gradients = {}
         for name, values in case["rows"].items():
             self.gradients[name] = np.zeros(values.shape)
-            downloaded = gradients[name].download()
+            downloaded = gradients.fields[name].download()
             if name == "sh_rest":
                 downloaded[:, case["degree"] * (case["degree"] + 2):] = 0
             self.gradients[name][self.visible] = downloaded
@@ -157,7 +161,7 @@ def test_saturated_opacities_keep_their_gradient(device):
     actual = Projected(device, case)
     logit = case["rows"]["opacity_logits"][actual.visible]
     grad = actual.gradients["opacity_logits"][actual.visible]
-    ratio = grad / (actual.sums[:, 3] * np.exp(-logit))
+    ratio = grad / (actual.sums[:, 0] * np.exp(-logit))
     assert np.allclose(ratio, 1, rtol=1e-4)
 
 
@@ -194,12 +198,12 @@ def test_slots_past_the_visible_gaussians_are_not_touched(device):
         return made[-1]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(device, "empty", noted)
-        gradients, means, active, _ = project_adjoint(
+        gradients = project_adjoint(
             device, rows, seen, counts, camera, case["degree"], defines, sums, skipped)
     assert len(made) == 8 and all((array.download()[number:] == 77).all() for array in made)
-    assert np.array_equal(active.download()[:number], exact.active)
-    assert np.array_equal(means.download()[:number], exact.grad_means)
-    for name, values in gradients.items():
+    assert np.array_equal(gradients.rows.download()[:number], exact.active)
+    assert np.array_equal(gradients.means.download()[:number], exact.grad_means)
+    for name, values in gradients.fields.items():
         assert np.array_equal(values.download()[:number],
                               exact.gradients[name][exact.visible].astype(device.real)), name
 

@@ -19,6 +19,7 @@ def table():
                           for name, a in form.arguments.items()
                           if isinstance(a, tuple)}
                 shown = ", ".join(f"{name} {kind}[{', '.join(map(str, shape))}]"
+                                  + (f" ({kernel.only[name]})" if name in kernel.only else "")
                                   for name, (kind, *shape) in arrays.items())
                 item, group = kernel.launches
                 lines.append(f"| {family.stem} | {kernel.function} | {shown} | {item or 'none'} | "

@@ -6,7 +6,7 @@ import pytest
 from clsplat.constants import NO_ROW
 from clsplat.loss.regularise import regularise
 from clsplat.primitives.compact import new_counts
-from clsplat.rendering.pipeline import Gradients
+from clsplat.rendering.project import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
 from tests.reference import regularise as reference

@@ -1,7 +1,7 @@
 """Splats to an image, front to back, and the adjoint: every splat against every pixel, no tiles.
 
-Splats are a dict: means[N, 2] and conics[N, 3] (pixels), opacities[N], colours[N, 3], depths[N].
-`order` lists the splats to draw, front first; a background is [3] or [3, H, W].
+Splats are a dict: means[N, 2] and conics[N, 3] (pixels), opacities[N], colours[N, C], depths[N].
+`order` lists the splats to draw, front first; a background is [C] or [C, H, W].
 """
 
 import numpy as np
@@ -12,14 +12,14 @@ TRANSMITTANCE_MIN = 1e-4
 
 
 def blend(splats, order, width, height, background, smooth=False, with_depth=False, depth_at=0.0):
-    """image[3, H, W], transmittance[H, W], depth[H, W] (zero unless with_depth).
+    """image[C, H, W], transmittance[H, W], depth[H, W] (zero unless with_depth).
 
     depth is sum(alpha T z), without background; depth_at: z of the last splat that is blended while
     T is greater. smooth: fade alpha in from 1/255 to 2/255 instead of switching it on, so that the
     image is continuously differentiable; for gradient tests.
     """
-    pixels = height * width
-    image, depth, transmittance = np.zeros((3, pixels)), np.zeros(pixels), np.ones(pixels)
+    pixels, channels = height * width, splats["colours"].shape[1]
+    image, depth, transmittance = np.zeros((channels, pixels)), np.zeros(pixels), np.ones(pixels)
     for touch in _touches(splats, order, width, height, smooth):
         weight = touch["alpha"] * touch["before"]
         image[:, touch["pixels"]] += splats["colours"][touch["splat"]][:, None] * weight
@@ -28,23 +28,23 @@ def blend(splats, order, width, height, background, smooth=False, with_depth=Fal
         else:
             depth[touch["pixels"]] += splats["depths"][touch["splat"]] * weight * with_depth
         transmittance[touch["pixels"]] = touch["before"] * (1 - touch["alpha"])
-    image += np.asarray(background, float).reshape(3, -1) * transmittance
+    image += np.asarray(background, float).reshape(channels, -1) * transmittance
     shape = height, width
-    return image.reshape(3, *shape), transmittance.reshape(shape), depth.reshape(shape)
+    return image.reshape(channels, *shape), transmittance.reshape(shape), depth.reshape(shape)
 
 
 def blend_adjoint(splats, order, width, height, background, grad_image, grad_depth=None,
                   grad_transmittance=None, smooth=False):
-    """Gradients like `splats` from grad_image[3, H, W] and, if given, grad_depth[H, W] and
+    """Gradients like `splats` from grad_image[C, H, W] and, if given, grad_depth[H, W] and
     grad_transmittance[H, W]."""
-    pixels = height * width
-    grad_image = grad_image.reshape(3, pixels)
+    pixels, channels = height * width, len(grad_image)
+    grad_image = grad_image.reshape(channels, pixels)
     grad_depth = np.zeros(pixels) if grad_depth is None else grad_depth.reshape(pixels)
     result = {name: np.zeros(np.shape(splats[name]))
               for name in ("means", "conics", "opacities", "colours", "depths")}
     touches = list(_touches(splats, order, width, height, smooth))
     # what lies behind the splat at hand, as seen through it, times the cotangent
-    behind = (np.asarray(background, float).reshape(3, -1) * grad_image).sum(axis=0)
+    behind = (np.asarray(background, float).reshape(channels, -1) * grad_image).sum(axis=0)
     if grad_transmittance is not None:
         behind += grad_transmittance.reshape(pixels)
     for touch in reversed(touches):

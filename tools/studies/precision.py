@@ -25,7 +25,8 @@ from clsplat.constants import NO_ROW, SPLAT_DEPTH, SPLAT_OPACITY, SPLAT_REALS
 from clsplat.device import Array, Device, Handle, Kernel, choose_device
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.rendering import pipeline
-from clsplat.rendering.pipeline import Gradients, Renderer
+from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.project import Gradients
 
 VISIBLE_ERROR = 1e-4  # of an image value
 Scene = tuple[Gaussians, Sequence[Camera]]

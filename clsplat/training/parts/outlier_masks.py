@@ -170,7 +170,7 @@ class ResidualModel:
         _, height, width = view.photo.shape
         return self.renderer.render(
             self.rows, view.camera, width, height, self.sh_degree, exposure=view.exposure,
-            layers=view.backdrop)
+            backdrop=view.backdrop)
 
     def _sums(self, frame: Frame, view: ObservedView, residual: NDArray[np.float64]
               ) -> tuple[NDArray[np.uint32], NDArray[np.float64], NDArray[np.float64]]:
