@@ -6,8 +6,8 @@ from os import PathLike
 from pathlib import Path
 
 from clsplat import gaussians
-from clsplat.export.notebook import model_frame
 from clsplat.io.models.formats import read_model, write_model
+from clsplat.report.model_frame import model_frame
 
 
 class Gaussians(gaussians.Gaussians):

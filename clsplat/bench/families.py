@@ -13,7 +13,6 @@ import numpy as np
 
 from clsplat.camera import Camera
 from clsplat.constants import CATCH_UP_EVERY, COUNT_VISIBLE, LAG_TERMS, POSE_REALS
-from clsplat.densify.contribution import contribution as contributions
 from clsplat.densify.statistics import Statistics
 from clsplat.device import Array, Device
 from clsplat.gaussians import LEARNED
@@ -37,6 +36,7 @@ from clsplat.primitives.sort import DIGIT_BITS, KEY_BITS, stable_sort
 from clsplat.rendering import blend as blending
 from clsplat.rendering import project as projection
 from clsplat.rendering.bin import NEEDS_ORDER, bin_splats
+from clsplat.rendering.contribution import contribution as contributions
 from clsplat.rendering.cull import cull as cull_rows
 from clsplat.rendering.project import pack_camera
 from clsplat.response import Lenses

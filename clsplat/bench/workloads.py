@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from clsplat.camera import Camera
-from clsplat.densify.contribution import contribution
 from clsplat.device import Array, Device
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.photos.images import encode_jpeg
 from clsplat.primitives.compact import new_counts
+from clsplat.rendering.contribution import contribution
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import FieldGradients, Gradients
 from clsplat.scene import Scene, View

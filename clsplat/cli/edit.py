@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from clsplat.apps.edit import Source
     from clsplat.cli.progress import Progress
-    from clsplat.edit.source import Source
 
 CROP: dict[str, Any] = {"cls": SectionedOption, "section": "Crop"}
 CLEAN: dict[str, Any] = {"cls": SectionedOption, "section": "Remove gaussians"}
@@ -87,10 +87,10 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
     """
     from functools import partial
 
+    from clsplat.apps.edit import Source, joined
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.edit.harmonics import used_sh_degree
-    from clsplat.edit.source import Source, joined
     from clsplat.edit.transform import turn
     from clsplat.io.models.formats import format_of, write_model
     format_of(output)
@@ -129,7 +129,7 @@ def _cropped(source: Source, progress: Progress, box: tuple[float, ...] | None,
              polygon: str | None, coordinates: str, outside: bool) -> Source:
     import numpy as np
 
-    from clsplat.edit.crop import box_in_scene, inside, polygons_of
+    from clsplat.apps.crop import box_in_scene, inside, polygons_of
     from clsplat.edit.select import in_box
     keep = np.ones(source.gaussians.count, bool)
     if box:

@@ -51,13 +51,13 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
     bits, and degrees of spherical harmonics that are zero everywhere are left out; of a page also
     gaussians at places that fewer than two photos show.
     """
+    from clsplat.apps.models import photos_of, supported, write_run_model
+    from clsplat.apps.tiles import write_run_tiles
     from clsplat.cli.progress import Progress
     from clsplat.edit.harmonics import used_sh_degree
-    from clsplat.edit.select import selected
+    from clsplat.edit.select import alive, selected
     from clsplat.evaluation.run import Run
-    from clsplat.export.page import write_run_page
-    from clsplat.export.prune import alive, photos_of, supported, write_run_model
-    from clsplat.export.tiles import write_run_tiles
+    from clsplat.report.model_page import write_run_page
     is_page, is_folder = output.suffix.lower() == ".html", not output.suffix
     has_harmonics = _check_format(output, is_page or is_folder, upright, plain_tiles)
     if everything and not is_page:
@@ -150,8 +150,8 @@ def _copy(source: Path, output: Path, keep: NDArray[np.bool_], degree: int, high
 def _wanted_degree(wanted: str, opened: Run, highest: int, device: str, cost: float,
                    scene: Path | None, progress: Progress) -> int:
     """The degree that --sh-degree asks for, of a model that has `highest`."""
+    from clsplat.apps.models import needed_sh_degree
     from clsplat.device import choose_device
-    from clsplat.export.prune import needed_sh_degree
     if wanted == "all":
         return highest
     if wanted == "auto":

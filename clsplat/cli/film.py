@@ -56,18 +56,14 @@ def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: fl
 
     import numpy as np
 
-    from clsplat.cli.progress import Progress
-    from clsplat.device import choose_device
-    from clsplat.evaluation.run import Run
-    from clsplat.evaluation.streamed import streaming_of
-    from clsplat.export.camera_path import (
+    from clsplat.apps.camera_path import (
         film_degrees,
         flight,
         interpolated,
         read_camera_path,
         turntable,
     )
-    from clsplat.export.film import (
+    from clsplat.apps.film import (
         GIF,
         SUFFIXES,
         check_codec,
@@ -76,7 +72,11 @@ def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: fl
         write_film,
         write_frames,
     )
-    from clsplat.export.overflight import auto
+    from clsplat.apps.overflight import auto
+    from clsplat.cli.progress import Progress
+    from clsplat.device import choose_device
+    from clsplat.evaluation.run import Run
+    from clsplat.evaluation.streamed import streaming_of
     check_streaming(ctx, lod)
     as_film = output.suffix.lower() in SUFFIXES
     if not as_film and output.suffix:

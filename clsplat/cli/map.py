@@ -70,11 +70,11 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
     """
     from dataclasses import replace
 
+    from clsplat.apps.map import FILES, POINTS, sentences, write_map
+    from clsplat.apps.map_grid import map_grid, reprojection_of
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
-    from clsplat.export.map import FILES, POINTS, sentences, write_map
-    from clsplat.export.map_grid import map_grid, reprojection_of
     from clsplat.io.models.las import laspy_for
     for name in FILES:
         check_free(output / name, overwrite)

@@ -134,7 +134,7 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags
             None if quiet else stack.enter_context(Progress(options.stop_at)))
         watcher = None
         if view:
-            from clsplat.view.live import TrainingView
+            from clsplat.apps.live import TrainingView
             watcher = progress = stack.enter_context(TrainingView(data, progress))
             announce(watcher.address)
         if resumes:

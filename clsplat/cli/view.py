@@ -24,10 +24,10 @@ def view(ctx: click.Context, /, run: Path, port: int, lod: bool, lod_bias: float
     clsplat draws every frame itself, so the page works in any browser. It can only be opened on
     this machine, by the address that is printed. For a page that can be sent, see `clsplat export`.
     """
+    from clsplat.apps.live import show_run
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
     from clsplat.evaluation.streamed import streaming_of
-    from clsplat.view.live import show_run
     check_streaming(ctx, lod)
     opened = Run.open(run)
     streaming = streaming_of(opened, lod, lod_bias, host_memory)

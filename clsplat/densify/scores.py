@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import sobel
 
 from clsplat.constants import SPLAT_CONIC, SPLAT_CUTOFF, SPLAT_DEPTH, SPLAT_EXTENT_Y
-from clsplat.densify.contribution import contribution
 from clsplat.device import Array, Device
 from clsplat.loss.image_loss import image_loss, loss_value
+from clsplat.rendering.contribution import contribution
 from clsplat.rendering.pipeline import Frame, Renderer
 from clsplat.rendering.project import Rows
 

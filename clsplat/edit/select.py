@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from clsplat.constants import ALPHA_STEPS
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.models.values import opacities
@@ -46,6 +47,15 @@ def in_polygons(points: NDArray[np.float64], polygons: Sequence[Polygon]) -> NDA
                 odd ^= crossed & (x < x0 + (y - y0) / (y1 - y0) * (x1 - x0))
         inside |= odd
     return inside
+
+
+def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """[N]: whether a gaussian is visible at all.
+
+    Its alpha is at most its opacity, and the renderer skips alpha below 1 / ALPHA_STEPS: without
+    the invisible gaussians every image has the same bytes.
+    """
+    return opacities(gaussians) >= 1 / ALPHA_STEPS
 
 
 def opaque(gaussians: Gaussians, opacity: float) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""Who may look at a training between its steps (clsplat/view/)."""
+"""Who may look at a training between its steps (clsplat/apps/live.py)."""
 
 from __future__ import annotations
 

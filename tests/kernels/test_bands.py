@@ -9,13 +9,13 @@ import pyopencl.tools
 import pytest
 
 from clsplat.constants import FRAME_COUNTS
-from clsplat.densify.contribution import contribution
 from clsplat.device.array import Array
 from clsplat.errors import DeviceError, OutOfDeviceMemory
 from clsplat.io.scenes.read import read_scene
 from clsplat.rendering.bands import choose_bands, pair_limit, pair_reals
 from clsplat.rendering.bin import PAIR_LIMIT, count_tiles, tile_grid
 from clsplat.rendering.blend import Exposure
+from clsplat.rendering.contribution import contribution
 from tests import cases
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
 from tests.kernels.chain import gradients_by_row, render, size_of

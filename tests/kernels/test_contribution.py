@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from clsplat.constants import SPLAT_DEPTH
-from clsplat.densify.contribution import contribution
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.bin import bin_splats
 from clsplat.rendering.blend import blend, blend_defines
+from clsplat.rendering.contribution import contribution
 from clsplat.rendering.pipeline import Frame
 from tests import cases
 from tests.checks import close

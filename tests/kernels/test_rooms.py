@@ -11,9 +11,9 @@ from clsplat.constants import (
     COUNT_SUM_PAIRS,
     COUNT_VISIBLE,
 )
-from clsplat.densify.contribution import contribution
 from clsplat.device.array import Array
 from clsplat.primitives.compact import new_counts
+from clsplat.rendering.contribution import contribution
 from clsplat.rendering.pipeline import Room
 from tests import cases
 from tests.kernels.chain import camera_of, gradients_by_row, renderer_of, size_of, upload_rows

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import clsplat
+from clsplat.apps.map_grid import map_grid
 from clsplat.evaluation.metrics import psnr
-from clsplat.export.map_grid import map_grid
 from clsplat.io.photos.images import encode_image
 from clsplat.options import TrainOptions
 from tests.data import ground_model as made

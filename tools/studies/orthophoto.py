@@ -25,12 +25,12 @@ from scipy.ndimage import (
 )
 from scipy.signal import correlate
 
+from clsplat.apps.map_grid import TILE, map_grid
+from clsplat.apps.orthophoto import MapPainter
 from clsplat.device import choose_device
 from clsplat.evaluation.colour import fit_colour
 from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.run import Run
-from clsplat.export.map_grid import TILE, map_grid
-from clsplat.export.orthophoto import MapPainter
 from clsplat.io.photos.views import read_photo
 from clsplat.rendering.slabs import open_model
 

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from clsplat.constants import SH_C0
-from clsplat.densify.contribution import contribution
 from clsplat.device import Array
 from clsplat.loss.options import RobustOptions
 from clsplat.rendering.blend import Exposure
+from clsplat.rendering.contribution import contribution
 from clsplat.rendering.pipeline import Frame, Renderer
 from clsplat.rendering.project import Rows
 from clsplat.training.part import Decision, Part, State, Survey

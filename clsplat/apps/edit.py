@@ -1,0 +1,129 @@
+"""The models that are edited: runs or files, with what is known of their place and their views."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.apps.support import seen_by
+from clsplat.device import Device
+from clsplat.edit.select import merged, selected
+from clsplat.edit.transform import transformed
+from clsplat.errors import InputError
+from clsplat.evaluation.run import Run, shown
+from clsplat.gaussians import Gaussians
+from clsplat.georeference import Georeference
+from clsplat.io.models.formats import is_model, read_model, read_notes
+from clsplat.io.models.values import MIP
+from clsplat.io.scenes.read import read_scene
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A model with what its run or file says about it.
+
+    Attributes
+    ----------
+    path : of the run or the file.
+    gaussians : the model.
+    georeference : of its original coordinates; None: unknown.
+    up : float64[3], the unit vector that points up; None: unknown.
+    antialiased : whether it was trained with --antialiased.
+    run : the run; None for a file.
+    support : int[N], how many training views see each gaussian; None: not measured.
+    """
+
+    path: Path
+    gaussians: Gaussians
+    georeference: Georeference | None = None
+    up: NDArray[np.float64] | None = None
+    antialiased: bool = False
+    run: Run | None = None
+    support: NDArray[np.intp] | None = None
+
+    @classmethod
+    def open(cls, path: Path) -> Source:
+        """Read the model of a run's folder or of a file; InputError if it cannot be read."""
+        if not is_model(path):
+            run = Run.open(path)
+            model = shown(run.finished_model, path).without_spheres()
+            return cls(path, model, run.georeference, run.known_up, run.options.antialiased, run)
+        model = shown(read_model(path), path).without_spheres()
+        notes = read_notes(path)
+        return cls(path, model, notes.georeference, notes.up, notes.antialiased)
+
+    def measured(self, device: Device, scene_path: Path | None,
+                 progress: Callable[[int, int], object] | None = None) -> Source:
+        """The source with what its training views see.
+
+        Parameters
+        ----------
+        device : an open device.
+        scene_path : the scene; None: that of the run.
+        progress : see `seen_by`.
+        """
+        if self.run is not None:
+            scene, options = self.run.scene(scene_path), self.run.options
+            views, _ = scene.split(options.test_every, options.test_offset)
+            near = scene.near(options.near)
+        elif scene_path is not None:
+            scene = read_scene(scene_path)
+            views, near = scene.views, scene.near(0.0)
+        else:
+            raise ValueError("a file has no views of its own")
+        return replace(self, support=seen_by(device, self.gaussians.moved(scene.offset), views,
+                                             near, self.antialiased, progress))
+
+    def kept(self, keep: NDArray[np.bool_]) -> Source:
+        """The source with some of its gaussians, bool[N]; InputError if none is left."""
+        if not keep.any():
+            raise InputError(f"{self.path}: none of its {len(keep):,} gaussians would be left; "
+                             "check the units and the coordinates of what you gave")
+        return replace(self, gaussians=selected(self.gaussians, keep),
+                       support=None if self.support is None else self.support[keep])
+
+    def transformed(self, scale: float, rotation: NDArray[np.float64] | None,
+                    translation: Sequence[float]) -> Source:
+        """The source after a `transform.transformed`; only a translation keeps the georeference."""
+        turned = scale != 1 or rotation is not None
+        return replace(
+            self, gaussians=transformed(self.gaussians, scale, rotation, translation),
+            georeference=None if turned else self.georeference,
+            up=self.up if self.up is None or rotation is None else rotation @ self.up)
+
+    def comments(self) -> tuple[str, ...]:
+        """What the header of a file must say besides its place."""
+        return (MIP,) if self.antialiased else ()
+
+
+def joined(sources: Sequence[Source]) -> Source:
+    """One source of several, in the original coordinates of the first.
+
+    Where the georeferences tell, the others are moved by the difference of their map offsets.
+
+    Raises
+    ------
+    InputError : their CRS differ, or some are for antialiased renderers and others are not.
+    """
+    first = sources[0]
+    models = []
+    for source in sources:
+        gaussians = source.gaussians
+        if source.antialiased != first.antialiased:
+            how = "with" if source.antialiased else "without"
+            raise InputError(f"{source.path}: was trained {how} --antialiased, unlike "
+                             f"{first.path}, so no renderer draws both rightly; train one of them "
+                             "again")
+        if first.georeference is not None and source.georeference is not None:
+            if source.georeference.crs != first.georeference.crs:
+                raise InputError(f"{source.path}: has the CRS {source.georeference.crs[:60]}, "
+                                 f"{first.path} has {first.georeference.crs[:60]}; georeference "
+                                 "both scenes with the same --crs")
+            gaussians = gaussians.located(gaussians.offset + np.subtract(
+                source.georeference.offset, first.georeference.offset))
+        models.append(gaussians)
+    return replace(first, gaussians=merged(models), run=None, support=None)

@@ -1,0 +1,175 @@
+"""Rasters of any size on disk, and cloud-optimised GeoTIFF (COG), through rasterio.
+
+A `Raster` is drawn tile by tile into a temporary file, so that memory does not grow with it; its
+overviews are averages of what is known. Only this module has rasterio, whose GDAL writes the
+coordinate reference system (CRS) as other programs read it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+import rasterio.shutil
+from numpy.typing import NDArray
+from rasterio._err import CPLE_BaseError
+from rasterio.enums import Resampling
+from rasterio.errors import CRSError, RasterioError
+
+from clsplat.apps.map_grid import TILE, MapGrid
+from clsplat.errors import InputError
+from clsplat.io.reason import clean, reason
+
+CACHE_MIB = 64  # of GDAL, which takes 5 % of the memory otherwise
+SHOWN = 60  # characters of a CRS in a message
+CURE = "give one with an EPSG code"
+GDAL_ERRORS = RasterioError, CRSError, CPLE_BaseError
+Place = tuple[int, int]  # of a tile: column, row
+
+
+class Raster:
+    """A raster of uint8 colours with alpha, or of float32 with nan where nothing is known.
+
+    Parameters
+    ----------
+    path : of the temporary file, created.
+    grid : of the pixels of the map.
+    crs : name or definition of the CRS; None: a local one.
+    bands : name and unit of each band.
+    colour : whether the bands are red, green, blue and alpha.
+    """
+
+    def __init__(self, path: Path, grid: MapGrid, crs: str | None,
+                 bands: Mapping[str, str | None], colour: bool) -> None:
+        self._path, self.grid, self._levels = path, grid, 1
+        self._dtype = np.dtype(np.uint8 if colour else np.float32)
+        self._file = rasterio.open(
+            path, "w", driver="GTiff", width=grid.columns, height=grid.rows, count=len(bands),
+            dtype=self._dtype.name, crs=crs, tiled=True, transform=rasterio.Affine(
+                grid.resolution, 0, grid.left, 0, -grid.resolution, grid.top),
+            blockxsize=TILE, blockysize=TILE, compress="DEFLATE", predictor=2 if colour else 3,
+            nodata=None if colour else np.nan, photometric="RGB" if colour else "MINISBLACK",
+            alpha="YES" if colour else "NO", bigtiff="IF_SAFER", sparse_ok=True)
+        for number, (name, unit) in enumerate(bands.items(), 1):
+            self._file.set_band_description(number, name)
+            self._file.set_band_unit(number, unit or "")
+
+    @property
+    def tiles(self) -> Place:
+        """How many tiles there are (across, down)."""
+        return self.grid.tiles
+
+    def write(self, place: Place, values: NDArray[Any]) -> None:
+        """Replace a tile, [TILE, TILE, bands]; what lies beyond the raster is left out."""
+        (top, bottom), (left, right) = self._window(place)
+        inner = values[:bottom - top, :right - left].astype(self._dtype)
+        with _writing(self._path.parent.parent):
+            self._file.write(np.moveaxis(inner, -1, 0), window=((top, bottom), (left, right)))
+
+    def finish(self, tags: Mapping[str, str]) -> None:
+        """Add tags and overviews, halves of halves down to one tile, and end the writing."""
+        sizes = [2**power for power in range(1, 32)
+                 if max(self.grid.columns, self.grid.rows) > TILE * 2 ** (power - 1)]
+        self.close()
+        with _writing(self._path.parent.parent), rasterio.open(self._path, "r+") as file:
+            file.update_tags(**tags)
+            if sizes:
+                file.build_overviews(sizes, Resampling.average)
+        self._levels += len(sizes)
+
+    def level(self, largest: float, pixels: bool = False) -> int:
+        """The finest level of at most so many pixels, in all or along the longer side."""
+        sizes = [(-(-self.grid.columns // 2**level), -(-self.grid.rows // 2**level))
+                 for level in range(self._levels)]
+        return next((level for level, size in enumerate(sizes)
+                     if (size[0] * size[1] if pixels else max(size)) <= largest), self._levels - 1)
+
+    def whole(self, level: int) -> NDArray[Any]:
+        """A level in one piece, [H, W, bands]: for coarse ones."""
+        with self._at(level) as file:
+            return np.moveaxis(file.read(), 0, -1)
+
+    def parts(self, level: int) -> Iterator[tuple[int, int, NDArray[Any]]]:
+        """(first column, first row, [h, w, bands]) of every tile of a level."""
+        with self._at(level) as file:
+            for _, window in file.block_windows(1):
+                yield window.col_off, window.row_off, np.moveaxis(file.read(window=window), 0, -1)
+
+    def close(self) -> None:
+        """End the writing of tiles."""
+        with _writing(self._path.parent.parent):
+            self._file.close()
+
+    def read(self, place: Place, margin: int = 0) -> NDArray[Any]:
+        """A tile of a closed raster with so many pixels around it, [H, W, bands]; beyond the raster
+        nothing is known."""
+        (top, bottom), (left, right) = self._window(place, margin)
+        first = place[1] * TILE - margin, place[0] * TILE - margin
+        with self._at(0) as file:
+            inner = np.moveaxis(file.read(window=((top, bottom), (left, right))), 0, -1)
+        shape = TILE + 2 * margin, TILE + 2 * margin, inner.shape[-1]
+        result = np.full(shape, np.nan if self._dtype == np.float32 else 0, self._dtype)
+        result[top - first[0]:bottom - first[0], left - first[1]:right - first[1]] = inner
+        return result
+
+    def save(self, path: Path) -> None:
+        """Replace a file by a COG of the finished raster."""
+        partial = self._path.with_name(path.name)
+        with _writing(path):
+            rasterio.shutil.copy(
+                self._path, partial, driver="COG", compress="DEFLATE", predictor="YES",
+                blocksize=TILE, overviews="AUTO", bigtiff="IF_SAFER", geotiff_version="1.1")
+            os.replace(partial, path)
+
+    def _window(self, place: Place, margin: int = 0) -> tuple[Place, Place]:
+        """The rows and columns of a tile and its margin within the raster."""
+        rows, columns = ((max(0, at * TILE - margin), min(most, (at + 1) * TILE + margin))
+                         for at, most in zip(place[::-1], (self.grid.rows, self.grid.columns)))
+        return rows, columns
+
+    @contextmanager
+    def _at(self, level: int) -> Iterator[Any]:
+        options = {"overview_level": level - 1} if level else {}
+        with rasterio.open(self._path, **options) as file:
+            yield file
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Makes errors of GDAL into errors of a file."""
+    try:
+        yield
+    except GDAL_ERRORS as error:
+        raise InputError(f"{path}: cannot be written ({reason(error)}); free some space, and check "
+                         "that the folder may be written") from None
+
+
+@contextmanager
+def bounded_memory() -> Iterator[None]:
+    """Keeps GDAL's memory small, and its messages off the terminal."""
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_MIB):
+        yield
+
+
+def check_crs(crs: str) -> None:
+    """Raise InputError unless a GeoTIFF with this CRS reads back the same."""
+    try:
+        wanted = rasterio.CRS.from_user_input(crs)
+        with rasterio.MemoryFile() as memory:
+            with memory.open(driver="GTiff", width=1, height=1, count=1, dtype="uint8", crs=wanted,
+                             geotiff_version="1.1",
+                             transform=rasterio.Affine(1, 0, 1, 0, -1, 1)) as file:
+                file.write(np.ones((1, 1, 1), np.uint8))
+            with memory.open() as file:
+                same = file.crs == wanted
+    except GDAL_ERRORS as error:
+        raise InputError(f"--crs {clean(crs)[:SHOWN]}: cannot be written to GeoTIFF "
+                         f"({reason(error)}); {CURE}") from None
+    if not same:
+        raise InputError(f"--crs {clean(crs)[:SHOWN]}: a GeoTIFF would not read back the same; "
+                         f"{CURE}")

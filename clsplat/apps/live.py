@@ -1,0 +1,151 @@
+"""What the live pages show: a finished run, and a training while it goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from html import escape
+from typing import Any, NoReturn
+
+from clsplat.apps.frames import FrameRequest, FrameRequests
+from clsplat.apps.models import photos_of
+from clsplat.apps.server import ViewServer
+from clsplat.device import Device
+from clsplat.evaluation.run import Run, shown
+from clsplat.evaluation.streamed import Streaming, open_tree
+from clsplat.gaussians import Gaussians
+from clsplat.io.models.tree import Tree
+from clsplat.rendering.slabs import ModelRenderer, open_model
+from clsplat.report.groups import full_name
+from clsplat.report.model_page import filled, near_of, script_json, view_record
+from clsplat.scene import Scene
+from clsplat.training.checkpoint import latest_model
+from clsplat.training.progress import SilentProgress
+from clsplat.training.session import Session
+
+SHARE = 0.25  # of the time that frames may take from a training
+IDLE = 0.5  # seconds between looks for Ctrl-C
+
+
+def live_page(title: str, view: dict[str, Any]) -> str:
+    """The page of a server, with its first view as `view_record` makes it."""
+    return filled("live.html", title=escape(title), model=script_json(view))
+
+
+def show_run(run: Run, device: Device, opened: Callable[[str], object], port: int = 0,
+             streaming: Streaming | None = None) -> NoReturn:
+    """Serve a page of a run's model, and draw its frames, until KeyboardInterrupt.
+
+    Parameters
+    ----------
+    run : finished, or with a checkpoint.
+    device : that draws.
+    opened : called with the address of the page.
+    port : as for ViewServer.
+    streaming : draw the tree of the run in this way; None: its model.
+
+    Raises
+    ------
+    InputError : there is no model or no tree, or the port cannot be opened.
+    """
+    renderer: ModelRenderer
+    rows: Any
+    model: Tree | Gaussians
+    if streaming:
+        renderer, rows = open_tree(run, device, near_of(run), streaming)
+        model, positions = rows, rows.read(len(rows.nodes) - 1, "positions")  # of the root
+    else:
+        model, options = shown(latest_model(run.folder), run.path), run.options
+        positions = model.positions
+        renderer, rows = open_model(device, model, near_of(run), options.antialiased,
+                                    options.background)
+    view = run.first_view.shifted(model.offset - run.first_view.offset)
+    page = live_page(full_name(run.path, run.record),
+                     view_record(view, run.up, positions, photos_of(run)))
+    requests = FrameRequests()
+    with ViewServer(page, requests, lambda: {"gaussians": model.count}, port) as server:
+        opened(server.address)
+        while True:
+            request = requests.next(IDLE)
+            if request:
+                request.attempt(partial(request.draw, renderer, rows, model.sh_degree))
+
+
+class TrainingView(SilentProgress):
+    """Shows a training on a page; the Watcher and the progress of that training.
+
+    It changes nothing: frames are drawn between steps, from a copy of the gaussians, and a frame
+    that cannot be drawn is only reported on the page.
+
+    Parameters
+    ----------
+    scene : as it was read.
+    progress : to which all that is reported is passed on.
+    port : as for ViewServer.
+
+    Attributes
+    ----------
+    address : of the page, which there is as long as the block of this context manager lasts.
+    """
+
+    def __init__(self, scene: Scene, progress: SilentProgress | None = None, port: int = 0) -> None:
+        self._unit = scene.unit
+        self._inner = progress or SilentProgress()
+        self._requests = FrameRequests()
+        self._drawn_until = self._seconds = 0.0
+        self._status: dict[str, Any] = {"phase": "beginning", "message": "", "losses": []}
+        page = live_page(scene.name, view_record(
+            scene.first_view, scene.up, scene.points, [view.camera for view in scene.views]))
+        self._server = ViewServer(page, self._requests, lambda: self._status, port)
+        self.address = self._server.address
+
+    def __enter__(self) -> TrainingView:
+        self._server.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._server.__exit__(*error)
+
+    # --- as a progress line
+
+    def __call__(self, **values: Any) -> None:
+        """Keep the values of a step for the page."""
+        losses = [*self._status["losses"], (values["iteration"], values["loss"])]
+        self._status = {**self._status, **values, "losses": losses}
+        self._inner(**values)
+
+    def message(self, text: str) -> None:
+        """Keep a message for the page."""
+        self._status = {**self._status, "message": text}
+        self._inner.message(text)
+
+    def phase(self, text: str) -> None:
+        """Keep what is being done for the page."""
+        self._status = {**self._status, "phase": text}
+        self._inner.phase(text)
+
+    # --- between steps
+
+    def is_due(self) -> bool:
+        """Whether a frame is wanted, and drawing has not taken its share of the time."""
+        if self._requests.is_empty:
+            return False
+        return time.perf_counter() - self._drawn_until >= self._seconds * (1 / SHARE - 1)
+
+    def draw(self, session: Session) -> None:
+        """Draw the frame that is wanted. Whatever goes wrong in drawing is no fault of training."""
+        request = self._requests.next()
+        if request is None:
+            return
+        begin = time.perf_counter()
+        # gives its memory to the frame; an error of a step under way belongs to the training
+        session.step.release()
+        request.attempt(partial(self._draw, request, session))
+        self._drawn_until = time.perf_counter()
+        self._seconds = self._drawn_until - begin
+
+    def _draw(self, request: FrameRequest, session: Session) -> None:
+        request.draw(session.renderer, session.model.current_rows(), session.options.sh_degree,
+                     session.scene.unit / self._unit)
+        session.device.trim()

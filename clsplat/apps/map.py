@@ -1,0 +1,269 @@
+"""The map of a run: orthophoto and surface as GeoTIFF, contour lines, points and pictures, and a
+statement of how exact it is."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from shutil import rmtree
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.apps.contours import (
+    ContourLine,
+    contour_interval,
+    contour_lines,
+    write_contours,
+)
+from clsplat.apps.geotiff import Raster, bounded_memory, check_crs
+from clsplat.apps.map_grid import TILE, MapGrid, Reprojection, ground_resolution
+from clsplat.apps.orthophoto import Extent, MapPainter, extent_of, halved_pixels
+from clsplat.apps.pits import MARGIN, filled, pits
+from clsplat.apps.surface import MOST_POINTS, preview, write_surface
+from clsplat.device import Device
+from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
+from clsplat.georeference import AXES, CHECK, CONTROL, Georeference
+from clsplat.io.folders import make_folder
+from clsplat.io.georeference.crs import WGS84, heights_of
+from clsplat.io.photos.images import write_image
+from clsplat.io.records import write_object
+from clsplat.partition.region import map_axes
+from clsplat.placement.plausible import recorded_doubts
+from clsplat.scene import Scene
+
+ORTHOPHOTO, SURFACE, POINTS = "orthophoto.tif", "surface.tif", "surface.laz"
+CONTOURS, PREVIEW, RECORD = "contours.geojson", "preview.png", "map.json"
+FILES = ORTHOPHOTO, SURFACE, POINTS, CONTOURS, PREVIEW, RECORD
+CONTOUR_SIDE = 3000  # pixels of the coarser raster that they are made from
+HEIGHTS = (0.01, 0.99)  # quantiles that the record has: single pixels may be far off
+DEGREE_DIGITS = 8  # after the point: a millimetre
+COLOURS = dict.fromkeys(("red", "green", "blue", "alpha"))  # bands, without a unit
+HEIGHTS_OF = "height", "spread"
+SCRATCH = ".drawing-"  # how the name of the temporary folder begins
+EMPTY = (np.zeros((TILE, TILE, 4), np.uint8), np.full((TILE, TILE, 2), np.nan, np.float32))
+
+Count = Callable[[str, int, int], object]  # (what, done, total)
+Phase = Callable[[str], object]
+ROLES = (CHECK, CONTROL)
+
+
+def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: Device,
+              folder: Path, *, interval: float | None = None, points: bool = True,
+              fill: int = 0, follow: bool = False, count: Count = lambda *_: None,
+              phase: Phase = lambda _: None) -> dict[str, Any]:
+    """Write the map of a run into a folder; the files of an earlier map are replaced or removed.
+
+    Parameters
+    ----------
+    run : finished.
+    scene : of the run.
+    grid : of the map.
+    crs : coordinate reference system (CRS) of the map; None: the scene has no georeference.
+    device : an open device.
+    folder : created if it is missing.
+    interval : between contour lines, map units; None: a round number that suits; 0: none.
+    points : whether to write POINTS.
+    fill : holes of at most so many pixels across are filled, at most MARGIN.
+    follow : whether the bounds become those of all that the map can show.
+    count : called with what is done, how much of it, and how much there is.
+    phase : called with what begins.
+
+    Returns
+    -------
+    What RECORD holds.
+
+    Raises
+    ------
+    clsplat.ClsplatError : an optional package is missing, the model shows nothing there, there
+        would be too many contour lines, the CRS cannot be written, or the disk is full.
+    """
+    to_wgs84 = None if crs is None else Reprojection(crs, WGS84)
+    if to_wgs84 and (points or interval != 0):
+        to_wgs84.to_map(np.empty((0, 3)))  # a missing pyproj is an error before the work
+    if crs is not None:
+        check_crs(crs)
+    make_folder(folder)
+    for killed in folder.glob(SCRATCH + "*"):
+        rmtree(killed, ignore_errors=True)
+    with bounded_memory(), TemporaryDirectory(dir=folder, prefix=SCRATCH) as scratch:
+        phase("looking at the extent")
+        extent = extent_of(device, run, scene, grid)
+        if follow:
+            grid = extent.around(grid)
+        unit = "metre" if crs else "scene unit"
+        statement = stated(scene, crs, run.georeference)
+        drawn, result = (
+            (Raster(Path(scratch) / f"{stage}-colours", grid, crs, COLOURS, True),
+             Raster(Path(scratch) / f"{stage}-surface", grid, crs, dict.fromkeys(HEIGHTS_OF, unit),
+                    False)) for stage in ("drawn", "cleaned"))
+        colours, surface = result
+        _draw(run, scene, grid, extent, device, drawn, count)
+        phase("leaving out pits")
+        dropped, new = _cleaned(drawn, result, fill)
+        phase("making overviews")
+        for raster in result:
+            raster.finish(tags_of(statement))
+        level = surface.level(CONTOUR_SIDE)
+        heights = surface.whole(level)[..., 0]
+        if not np.isfinite(heights).any():
+            raise InputError(f"{run.path}: everywhere on the map, the model is transparent or "
+                             "fewer than two photos show the place; train longer, or give other "
+                             "--bounds")
+        if interval is None:
+            interval = contour_interval(heights)
+        if interval:
+            phase("drawing contour lines")
+        lines = contour_lines(heights, interval)  # first of all: there may be too many of them
+        files = [ORTHOPHOTO, SURFACE, PREVIEW]
+        phase("writing GeoTIFF files")
+        colours.save(folder / ORTHOPHOTO)
+        surface.save(folder / SURFACE)
+        write_image(folder / PREVIEW, preview(colours, surface, interval, crs))
+        if interval:
+            _write_contours(folder / CONTOURS, lines, grid, level, to_wgs84)
+            files.append(CONTOURS)
+        if points:
+            phase("writing points")
+            write_surface(folder / POINTS, surface, colours,
+                          surface.level(MOST_POINTS, pixels=True), crs)
+            files.append(POINTS)
+    known = heights[np.isfinite(heights)]
+    record = {
+        "crs": crs, "unit": unit, "resolution": grid.resolution,
+        "columns": grid.columns, "rows": grid.rows, "bounds": grid.bounds,
+        "heights": np.quantile(known, HEIGHTS).tolist(),
+        "covered": float(len(known) / heights.size), "contour_interval": interval,
+        "pits": dropped, "filled": new, **statement,
+        "bands": {ORTHOPHOTO: list(COLOURS), SURFACE: list(HEIGHTS_OF)},
+        "axes": grid.axes.tolist(), "origin": grid.origin.tolist(), "files": files}
+    for name in set(FILES) - {*files, RECORD}:
+        (folder / name).unlink(missing_ok=True)
+    write_object(folder / RECORD, record, indent=2)
+    return record
+
+
+def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
+          drawn: tuple[Raster, Raster], count: Count) -> None:
+    """Draw all tiles in which anything is known."""
+    # gaussians smaller than a pixel would be drawn as large as one, and hide what is beside
+    # them: a map coarser than the photos is the mean of finer pixels
+    halvings = max(0, round(math.log2(grid.resolution / ground_resolution(scene))))
+    finer = grid.finer(halvings)
+    painter = MapPainter(device, run, finer, scene)
+    met = {(x, y) for y in range(finer.tiles[1]) for x in range(finer.tiles[0])
+           if extent.meets(finer.tile_bounds(x, y))}
+    done = 0
+
+    def tile(column: int, row: int, level: int) -> tuple[NDArray[Any], NDArray[Any]] | None:
+        nonlocal done
+        if not level:
+            if (column, row) not in met:
+                return None
+            painted = painter.tile(column, row)
+            done += 1
+            count("tile", done, len(met))
+            inside = extent.inside(finer, column, row)[..., None]
+            return (np.where(inside, painted.colours, 0),
+                    np.where(inside, painted.surface, np.float32(np.nan)))
+        four = [[tile(2 * column + x, 2 * row + y, level - 1) or EMPTY for x in (0, 1)]
+                for y in (0, 1)]
+        if all(part is EMPTY for row_of in four for part in row_of):
+            return None
+        colours, surface = (halved_pixels(np.concatenate([np.concatenate(
+            [part[kind] for part in row_of], axis=1) for row_of in four])) for kind in (0, 1))
+        return colours, surface
+
+    for place in np.ndindex(grid.tiles[::-1]):
+        found = tile(place[1], place[0], halvings)
+        if found:
+            for raster, values in zip(drawn, found):
+                raster.write(place[::-1], values)
+    for raster in drawn:
+        raster.close()
+
+
+def _cleaned(drawn: tuple[Raster, Raster], result: tuple[Raster, Raster], fill: int
+             ) -> tuple[int, int]:
+    """Copy colours, and heights without pits, with small holes filled; how many heights are left
+    out, and how many are filled."""
+    dropped = filled_count = 0
+    own = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
+    for y, x in np.ndindex(drawn[0].tiles[::-1]):
+        colours = drawn[0].read((x, y), MARGIN)
+        alpha = colours[..., 3] > 0
+        if not alpha.any():
+            continue
+        heights = drawn[1].read((x, y), 2 * MARGIN)
+        found = pits(heights[..., 0], heights[..., 1], drawn[1].grid.resolution)
+        heights = heights[own]
+        known = np.isfinite(heights[..., 0]) & ~found
+        dropped += int((alpha & ~known)[own].sum())
+        if fill:
+            smooth, alpha = filled(colours.astype(np.float32), alpha, fill)
+            colours = np.round(smooth)
+            colours[..., 3][(colours[..., 3] == 0) & alpha] = 255
+            heights, more = filled(heights, known, fill)
+            filled_count += int((more & ~known)[own].sum())
+            known = more
+        result[0].write((x, y), colours[own])
+        result[1].write((x, y), np.where(known[..., None], heights, np.nan)[own])
+    return dropped, filled_count
+
+
+def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: int,
+                    to_wgs84: Reprojection | None) -> None:
+    size = grid.resolution * 2**level
+
+    def to_place(line: NDArray[np.float64]) -> NDArray[np.float64]:
+        places = np.column_stack([np.array([grid.left, grid.top]) + line * (size, -size),
+                                  np.zeros(len(line))])
+        return (places if to_wgs84 is None else to_wgs84.to_map(places))[:, :2]
+
+    digits = DEGREE_DIGITS if to_wgs84 else max(0, math.ceil(1 - math.log10(size)))
+    write_contours(path, lines, to_place, digits)
+
+
+def stated(scene: Scene, crs: str | None, place: Georeference | None) -> dict[str, Any]:
+    """What is known of a map's exactness, for RECORD: the ground sampling distance of the photos,
+    the vertical reference, and the georeference with its residuals, metres."""
+    result: dict[str, Any] = {"ground_sampling_distance": ground_resolution(scene)}
+    if place is None or crs is None:
+        return result
+    errors = {role: {axis: error.rms for axis, error in place.errors(role).items()}
+              for role in ROLES}
+    flight = scene.unit * float(np.linalg.norm(np.ptp(
+        [view.camera.position @ map_axes(scene.up).T for view in scene.views], axis=0)))
+    return {**result,
+            "vertical_reference": place.vertical or heights_of(place.crs).name or "unknown",
+            "georeference": {"source": place.source, "residual": place.residual,
+                             "residuals_rms": {role: axes for role, axes in errors.items() if axes},
+                             "warnings": list(recorded_doubts(place, flight))}}
+
+
+def tags_of(statement: dict[str, Any]) -> dict[str, str]:
+    """The tags of a GeoTIFF, in GDAL's metadata."""
+    return {"TIFFTAG_SOFTWARE": "clsplat",
+            **{name.upper(): value if isinstance(value, str) else json.dumps(value)
+               for name, value in statement.items()}}
+
+
+def sentences(statement: dict[str, Any], unit: str) -> list[str]:
+    """What `clsplat map` prints of it."""
+    lines = [f"ground sampling distance of the photos {statement['ground_sampling_distance']:g} "
+             f"{unit}"]
+    place = statement.get("georeference")
+    if place:
+        lines[0] += f"; heights: {statement['vertical_reference']}"
+        lines.append(f"georeference: {place['source'] or 'unknown source'}, residual "
+                     f"{place['residual']:.2f} m along the ground")
+        for role, axes in place["residuals_rms"].items():
+            lines.append(f"{role} RMS: " + ", ".join(
+                f"{axis} {axes[axis]:.2f} m" for axis in AXES if axis in axes))
+        lines += [f"warning: {text}" for text in place["warnings"]]
+    return lines

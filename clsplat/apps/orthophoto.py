@@ -1,0 +1,207 @@
+"""The tiles of a map: colours, heights and what is known, as seen from straight above; and a coarse
+drawing of a scene and its surroundings, made before the map, of where it can show anything."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import (
+    binary_dilation,
+    binary_fill_holes,
+    binary_opening,
+    label,
+    map_coordinates,
+    median_filter,
+    zoom,
+)
+
+from clsplat.apps.map_grid import EXTENT, LARGEST_SIDE, TILE, Bounds, MapGrid, ground_resolution
+from clsplat.camera import Camera
+from clsplat.device import Device
+from clsplat.evaluation.run import Run
+from clsplat.rendering.project import LOW_PASS
+from clsplat.rendering.slabs import ModelRenderer, open_model
+from clsplat.scene import Scene
+
+MEDIAN, FIRST = 50, 90  # per cent of the light that still passes, at the depths that are drawn
+HOLE = 0.5  # of the light passes: the map has a hole there
+LEAST_VIEWS = 2  # photos that must show a place: one alone gives no height
+STEP = 16  # pixels between the places that are looked for in the photos
+SPECK = 3  # pixels: a median over so many squared removes single wrong heights
+FINENESS = 64  # heights are multiples of less than this part of a pixel, so that they compress well
+AROUND = 0.5  # of the extent of the sparse points, on each side
+LEAST_PART = 0.05  # of the largest part that is known: smaller islands are stray gaussians
+BESIDE = 2  # pixels around what is known that are drawn, too
+
+
+@dataclass(frozen=True, eq=False)
+class MapTile:
+    """A tile of a map.
+
+    Attributes
+    ----------
+    colours : uint8[TILE, TILE, 4]: red, green, blue and alpha. Alpha is 255, and 0 in holes and
+        where fewer than two photos show the place. Colours contain the background that shows
+        through, as in the training, which has made dark ground of it: divided by the share that the
+        gaussians cover, they would be too bright (by 5 dB on caliterra).
+    surface : float32[TILE, TILE, 2], heights, map coordinates, and how far above them the first
+        tenth of the light is held back, map units: how sure a height is. nan where alpha is 0, and
+        below the floor of the map.
+    """
+
+    colours: NDArray[np.uint8]
+    surface: NDArray[np.float32]
+
+
+class MapPainter:
+    """Draws the tiles of a map.
+
+    Parameters
+    ----------
+    device : an open device.
+    run : finished.
+    grid : of the map.
+    scene : its cameras show which places the photos cover.
+    """
+
+    def __init__(self, device: Device, run: Run, grid: MapGrid, scene: Scene) -> None:
+        model, options = run.finished_model, run.options
+        # splats were trained with a low-pass of so many pixels of the photos: they keep their size
+        finer = max(1.0, ground_resolution(scene) / grid.resolution)
+        renderer, self._rows = open_model(
+            device, model, 0.0, options.antialiased, options.background, orthographic=True,
+            depth_percent=MEDIAN, low_pass=LOW_PASS * finer**2)
+        self._renderers: list[ModelRenderer] = [renderer, renderer.at_percent(FIRST)]
+        self._model, self._grid, self._scene = model, grid, scene
+        self._cameras = [view.camera for view in scene.views]
+        self._step = 2.0 ** np.floor(np.log2(grid.resolution / FINENESS))
+
+    def tile(self, column: int, row: int) -> MapTile:
+        """Draw a tile; column and row as for `MapGrid.camera`."""
+        camera = self._grid.camera(column, row)
+        frame, first = (renderer.render(
+            self._rows, renderer.pack(camera.shifted(self._model.offset)), TILE, TILE,
+            self._model.sh_degree, with_depth=True) for renderer in self._renderers)
+        covered = 1 - frame.blended.transmittance.download()
+        heights, highest = (
+            np.round((self._grid.ceiling - median_filter(each.blended.depth.download(), SPECK,
+                                                         mode="nearest")) / self._step) * self._step
+            for each in (frame, first))
+        known = (covered >= 1 - HOLE) & self._shown(camera, heights, covered)
+        pixels = np.concatenate([frame.image.download(), known[None]]).transpose(1, 2, 0)
+        eight_bits = np.where(known[..., None], np.clip(pixels, 0, 1) * 255 + 0.5, 0)
+        surface = np.stack([heights, highest - heights], axis=-1)
+        supported = known & (heights >= self._grid.floor)
+        return MapTile(eight_bits.astype(np.uint8),
+                       np.where(supported[..., None], surface, np.nan).astype(np.float32))
+
+    def _shown(self, camera: Camera, heights: NDArray[np.floating],
+               covered: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """bool[TILE, TILE]: at least LEAST_VIEWS photos show the place, hidden there or not;
+        interpolated between one place in each square of STEP pixels."""
+        middles = np.arange(STEP // 2, TILE, STEP)
+        rows, columns = (each.ravel() for each in np.meshgrid(middles, middles, indexing="ij"))
+        tops, holes = heights[rows, columns], covered[rows, columns] < 1 - HOLE
+        if not holes.all():  # which have no height of their own
+            tops = np.where(holes, np.median(tops[~holes]), tops)
+        across, down = columns + 0.5 - TILE / 2, rows + 0.5 - TILE / 2
+        in_camera = np.column_stack([across * self._grid.resolution, down * self._grid.resolution,
+                                     self._grid.ceiling - tops])
+        places = (in_camera - camera.translation) @ camera.rotation
+        seen = shown_by(self._cameras, (places - self._scene.offset) / self._scene.unit)
+        square = median_filter((seen >= LEAST_VIEWS).reshape(len(middles), -1), SPECK)
+        inside: NDArray[np.bool_] = zoom(square.astype(np.float32), STEP, order=1, mode="nearest",
+                                         grid_mode=True) > 0.5
+        return inside
+
+
+def halved_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
+    """[H/2, W/2, ...]: means of 2 x 2 pixels, of heights without nan, of colours by alpha."""
+    height, width = (side // 2 for side in pixels.shape[:2])
+    four = pixels.reshape(height, 2, width, 2, -1).astype(np.float32)
+    if pixels.dtype == np.float32:
+        known = ~np.isnan(four)
+        number = known.sum(axis=(1, 3))
+        total = np.where(known, four, 0).sum(axis=(1, 3))
+        return np.where(number > 0, total / np.maximum(number, 1), np.nan).astype(np.float32)
+    alpha = four[..., 3:]
+    weight = alpha.sum(axis=(1, 3))
+    colours = (four[..., :3] * alpha).sum(axis=(1, 3)) / np.maximum(weight, 1)
+    result = np.concatenate([colours, weight / 4], axis=-1)
+    return (result + 0.5).astype(np.uint8)
+
+
+def shown_by(cameras: Sequence[Camera], points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """int64[N]: how many cameras have points [N, 3], in their world, within their image."""
+    total = np.zeros(len(points), np.int64)
+    for camera in cameras:
+        pixels, depths = camera.project(points)
+        total += ((depths > 0) & (pixels > 0).all(axis=1)
+                  & (pixels < (camera.width, camera.height)).all(axis=1))
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class Extent:
+    """Where a map shows anything.
+
+    Attributes
+    ----------
+    grid : of one tile, around the scene.
+    known : bool[TILE, TILE], which of its pixels have a height, lie beside one that does, or are
+        enclosed by these; small islands excepted.
+    """
+
+    grid: MapGrid
+    known: NDArray[np.bool_]
+
+    def meets(self, bounds: Bounds) -> bool:
+        """Whether anything is known within bounds, map coordinates."""
+        left, bottom, right, top = bounds
+        columns, rows = self.grid.pixels([(left, top), (right, bottom)]).T
+        (first, last), (upper, lower) = (np.clip(
+            (np.floor(side[0]), np.ceil(side[1])), 0, TILE).astype(int) for side in (columns, rows))
+        return bool(self.known[upper:lower, first:last].any())
+
+    def inside(self, grid: MapGrid, column: int, row: int) -> NDArray[np.bool_]:
+        """bool[TILE, TILE]: which pixels of a tile of a grid lie where anything is known."""
+        left, _, _, top = grid.tile_bounds(column, row)
+        steps = (np.arange(TILE) + 0.5) * grid.resolution
+        places = np.stack([left + steps, top - steps], axis=1)
+        columns, rows = self.grid.pixels(places).T - 0.5
+        inside: NDArray[np.bool_] = map_coordinates(
+            self.known.astype(np.float32), np.meshgrid(rows, columns, indexing="ij"), order=1) > 0.5
+        return inside
+
+    def around(self, grid: MapGrid) -> MapGrid:
+        """A grid with the bounds of all that is known."""
+        rows, columns = np.nonzero(self.known)
+        if not len(rows):
+            return grid
+        size = self.grid.resolution
+        wider = grid.within((self.grid.left + columns.min() * size,
+                             self.grid.top - (rows.max() + 1) * size,
+                             self.grid.left + (columns.max() + 1) * size,
+                             self.grid.top - rows.min() * size))
+        return grid if max(wider.columns, wider.rows) > LARGEST_SIDE else wider
+
+
+def extent_of(device: Device, run: Run, scene: Scene, grid: MapGrid) -> Extent:
+    """What the map of a run can show; the arguments are those of `map.write_map`."""
+    places = grid.to_map(scene.offset + scene.unit * scene.points)
+    (left, bottom), (right, top) = np.quantile(places[:, :2], EXTENT, axis=0)
+    size = (1 + 2 * AROUND) * max(right - left, top - bottom, TILE * np.spacing(abs(right))) / TILE
+    middle = (left + right) / 2, (bottom + top) / 2
+    coarse = replace(grid, left=float(middle[0] - TILE / 2 * size), resolution=float(size),
+                     top=float(middle[1] + TILE / 2 * size), columns=TILE, rows=TILE)
+    tile = MapPainter(device, run, coarse, scene).tile(0, 0)
+    known = binary_opening(np.isfinite(tile.surface[..., 0]), np.ones((3, 3)))
+    parts, count = label(known)
+    sizes = np.bincount(parts.ravel(), minlength=count + 1)
+    sizes[0] = 0
+    large = (sizes >= LEAST_PART * sizes.max())[parts] & known
+    return Extent(coarse, binary_fill_holes(binary_dilation(large, iterations=BESIDE)))

@@ -1,0 +1,228 @@
+"""The server of a live page. Only this machine reaches it, and only who knows its address.
+
+It is bound to 127.0.0.1, and every path begins with a random token. A request must name this
+machine in its Host header, so that a page of another site whose name was made to point here
+(DNS rebinding) is refused even if it knew the token.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import threading
+from collections.abc import Callable, Mapping
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from clsplat.apps.frames import FrameRequest, FrameRequests
+from clsplat.camera import Camera, numbers
+from clsplat.errors import InputError
+from clsplat.io.photos.images import encode_jpeg
+from clsplat.io.records import plain
+
+LOOPBACK = "127.0.0.1"
+PORT = 8642  # if it is free
+PATIENCE = 20.0  # seconds, for a frame: a training may evaluate in between
+JPEG_QUALITY = 90
+MOST_CONNECTIONS = 32  # at once, so that files are left for a training
+IDLE_SECONDS = 15  # without a byte of a request
+LONGEST_BODY = 4096  # bytes of a request
+LARGEST_SIDE, LARGEST_FRAME = 4096, 2560 * 1600  # pixels
+FURTHEST = 1e9  # beyond it, a number in a request is a mistake
+HEADERS = {
+    "Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; "
+                               "style-src 'unsafe-inline'; img-src blob: data:; "
+                               "connect-src 'self'; base-uri 'none'; form-action 'none'"}
+
+
+class ViewServer:
+    """Serves a page until the block ends; a context manager.
+
+    Parameters
+    ----------
+    page : HTML.
+    requests : receives the requests for frames; someone must draw them.
+    status : returns what the page is to know now, for JSON; called in another thread.
+    port : of the address; 0: PORT if it is free, else any.
+
+    Attributes
+    ----------
+    address : of the page, with its token.
+    """
+
+    def __init__(self, page: str, requests: FrameRequests, status: Callable[[], Mapping[str, Any]],
+                 port: int = 0) -> None:
+        self.token = secrets.token_urlsafe(24)
+        handler = partial(_Handler, self)
+        self.page, self.requests, self.status = page, requests, status
+        self._server = _bound(handler, port)
+        self.port = self._server.server_port
+        self.address = f"http://{LOOPBACK}:{self.port}/{self.token}/"
+        self.hosts = {f"{name}:{self.port}" for name in (LOOPBACK, "localhost")}
+
+    def __enter__(self) -> ViewServer:
+        threading.Thread(target=self._server.serve_forever, name="clsplat view", daemon=True,
+                         kwargs={"poll_interval": 0.1}).start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.requests.end()
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True  # a browser that keeps its connection must not hold up the end
+    block_on_close = False
+    allow_reuse_address = os.name != "nt"  # on Windows two servers would share a port
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread, or close a connection that is one too many: its file is one that the
+        training needs."""
+        if not self._places.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer, then give the place free."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._places.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that goes away is no error."""
+
+
+def _bound(handler: Callable[..., BaseHTTPRequestHandler], port: int) -> _Server:
+    """A server on the port that was asked for, or on a free one."""
+    for choice in (port,) if port else (PORT, 0):
+        try:
+            return _Server((LOOPBACK, choice), handler)
+        except OSError as error:
+            cause = error
+    raise InputError(f"--port {port}: cannot be opened ({cause.strerror}); choose another, or "
+                     "leave it out for a free one")
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers one connection."""
+
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "clsplat", ""
+    timeout = IDLE_SECONDS
+
+    def __init__(self, view: ViewServer, *arguments: Any) -> None:
+        self.view = view
+        super().__init__(*arguments)
+
+    def do_GET(self) -> None:  # noqa: N802  (the name is the library's)
+        """Send the page, or its status."""
+        name = self._allowed_path()
+        if name == "":
+            self._send(200, "text/html; charset=utf-8", self.view.page.encode())
+        elif name == "status":
+            self._send_json(plain(dict(self.view.status())))
+        elif name is not None:
+            self._refuse(404, "there is no such page")
+
+    def do_POST(self) -> None:  # noqa: N802
+        """Send a frame of the camera in the body, or the depth of what that camera sees."""
+        try:
+            body = self._body()
+        except ValueError:
+            self.close_connection = True  # what was not read cannot be skipped
+            self._refuse(413, "a request has at most 4096 bytes")
+            return
+        name = self._allowed_path()
+        if name not in ("frame", "depth"):
+            if name is not None:
+                self._refuse(404, "there is no such page")
+            return
+        try:
+            request = FrameRequest(camera_of(body), name == "depth")
+        except (ValueError, InputError) as error:
+            self._refuse(400, f"not a camera: {error}")
+            return
+        self.view.requests.add(request)
+        if not request.wait(PATIENCE):
+            self._refuse(503, "not drawn in time")
+        elif request.problem:
+            self._refuse(500, request.problem)
+        elif request.wants_depth:
+            self._send_json({"depth": request.depth})
+        else:
+            assert request.image is not None  # it was drawn
+            self._send(200, "image/jpeg", encode_jpeg(request.image, JPEG_QUALITY))
+
+    def _body(self) -> bytes:
+        length = int(self.headers.get("Content-Length") or "")
+        if not 0 <= length <= LONGEST_BODY:
+            raise ValueError(length)
+        return self.rfile.read(length)
+
+    def _allowed_path(self) -> str | None:
+        """The path after the token; None if the request was refused."""
+        _, token, *rest = (*self.path.partition("?")[0].split("/", 2), "")
+        known = secrets.compare_digest(token.encode(), self.view.token.encode())
+        if self.headers.get("Host") not in self.view.hosts or not known:
+            self._refuse(403, "open the address that clsplat printed")
+            return None
+        return rest[0]
+
+    def _refuse(self, code: int, text: str) -> None:
+        self._send(code, "text/plain; charset=utf-8", f"{text}\n".encode())
+
+    def _send_json(self, value: Any) -> None:
+        self._send(200, "application/json", json.dumps(value).encode())
+
+    def _send(self, code: int, kind: str, content: bytes) -> None:
+        self.send_response(code)
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_: Any) -> None:
+        """Write no log: the terminal belongs to the training."""
+
+
+def camera_of(text: bytes) -> Camera:
+    """The camera of JSON, as ReaderCamera.pinhole makes it (web/camera.js).
+
+    Raises
+    ------
+    ValueError : for anything else, and for a frame that is too large.
+    """
+    try:
+        record = json.loads(text)
+        width, height = record["width"], record["height"]
+        rotation, position, focal, centre = (
+            numbers(name, record[name], shape) for name, shape in (
+                ("rotation", (3, 3)), ("position", (3,)), ("focal", (2,)), ("centre", (2,))))
+        camera = Camera(width, height, (float(focal[0]), float(focal[1])),
+                        (float(centre[0]), float(centre[1])), rotation, -rotation @ position)
+        camera.check()
+    except (InputError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"{error}") from None
+    if max(width, height) > LARGEST_SIDE or width * height > LARGEST_FRAME:
+        raise ValueError("width and height are no size of a frame")
+    if np.abs((*position, *centre)).max() >= FURTHEST:
+        raise ValueError("its numbers are too large")
+    return camera

@@ -1,1 +1,0 @@
-"""A page on this machine that shows our own renderer's frames: of a run, or while it trains."""

@@ -1,0 +1,224 @@
+"""Maps of a made-up house on level ground, whose every pixel is known."""
+
+import dataclasses
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import rasterio
+from click.testing import CliRunner
+
+from clsplat.apps import map as module
+from clsplat.apps.map import write_map
+from clsplat.apps.map_grid import Reprojection, ground_resolution, map_grid, reprojection_of
+from clsplat.cli.main import main
+from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
+from clsplat.options import TrainOptions
+from tests.data import ground_model as made
+
+FILES = {"orthophoto.tif", "surface.tif", "contours.geojson", "preview.png", "map.json"}
+
+
+def run_of(path, scene):
+    """What a map needs of a run."""
+    return SimpleNamespace(path=path, finished_model=made.model(), options=TrainOptions(),
+                           scene=lambda _=None: scene, georeference=scene.georeference,
+                           up=scene.up)
+
+
+def drawn(device, folder, resolution=0.05, georeference=made.UTM, **options):
+    scene = made.scene(georeference)
+    grid = map_grid(scene, resolution)
+    crs = georeference.crs if georeference else None
+    record = write_map(run_of(folder, scene), scene, grid, crs, device, folder, points=False,
+                       **options)
+    return grid, record, *rasters(folder)
+
+
+def rasters(folder):
+    """Colours [H, W, 4] and heights [H, W] of a map."""
+    with rasterio.open(folder / "orthophoto.tif") as colours, rasterio.open(
+            folder / "surface.tif") as surface:
+        return np.moveaxis(colours.read(), 0, -1), surface.read(1)
+
+
+def corner_pixels(pixels):
+    """The first and last column and row [2, 2] of blue pixels."""
+    rows, columns = np.nonzero((pixels[..., 2] > pixels[..., 0]) & (pixels[..., 3] > 0))
+    return np.array([[columns.min(), rows.min()], [columns.max() + 1, rows.max() + 1]])
+
+
+@pytest.fixture(scope="module")
+def house(item_device, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("map")
+    return folder, *drawn(item_device, folder)
+
+
+def test_colours_heights_and_places(house):
+    folder, grid, record, colours, heights = house
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert colours.shape == (grid.rows, grid.columns, 4) and heights.shape == colours.shape[:2]
+    base = made.OFFSET[2] + made.UTM.offset[2]
+    for place, height, colour in (((0, 0), made.ROOF, made.ROOF_BLUE), ((8, -7), 0,
+                                                                        made.GROUND_RED)):
+        at = np.floor(grid.pixels(made.OFFSET[None] + made.UTM.offset + (*place, 0))).astype(int)
+        column, row = at[0]
+        assert abs(heights[row, column] - base - height) < 2e-3
+        assert abs(colours[row, column, :3] - np.multiply(colour, 255)).max() <= 4
+        assert colours[row, column, 3] == 255
+    # straight from above the house is as large as its roof, and where it is: walls do not show
+    corners = grid.pixels(np.array([[-1, 1], [1, -1]]) * (made.HOUSE + 1.4 * made.SPACING)
+                          + (made.OFFSET + made.UTM.offset)[:2])  # the edge of gaussians is soft
+    assert abs(corner_pixels(colours) - corners).max() <= 1
+
+
+def test_tags_place_it_on_the_earth(house):
+    folder, grid, *_ = house
+    for name, bands, unit in (("orthophoto.tif", ("red", "green", "blue", "alpha"), None),
+                              ("surface.tif", ("height", "spread"), "metre")):
+        with rasterio.open(folder / name) as file:
+            assert file.crs.to_epsg() == 32633 and np.allclose(file.bounds, grid.bounds)
+            assert file.descriptions == bands and set(file.units) == {unit}
+            assert file.profile["tiled"] and file.compression.name == "deflate"
+            tags = file.tags()
+            assert json.loads(tags["GEOREFERENCE"])["residual"] == made.UTM.residual
+            assert float(tags["GROUND_SAMPLING_DISTANCE"]) == ground_resolution(made.scene())
+            assert tags["VERTICAL_REFERENCE"] == "unknown"
+
+
+def test_contour_lines_surround_the_house_in_degrees(house):
+    folder, grid, record, *_ = house
+    lines = json.loads((folder / "contours.geojson").read_text())["features"]
+    base = made.OFFSET[2] + made.UTM.offset[2]
+    assert lines and all(base < line["properties"]["elevation"] < base + made.ROOF
+                         for line in lines)
+    to_utm = Reprojection("EPSG:4326", made.UTM.crs)
+    middle = (made.OFFSET + made.UTM.offset)[:2]
+    for line in lines:
+        places = [[*place, 0] for place in line["geometry"]["coordinates"]]
+        away = to_utm.to_map(places)[:, :2] - middle
+        assert abs(abs(away).max(axis=1) - made.HOUSE).max() < 0.9
+
+
+@pytest.mark.slow
+def test_tiles_and_overviews_continue(item_device, tmp_path):
+    """A map of several tiles shows what one of a single tile does."""
+    grid, record, colours, heights = drawn(item_device, tmp_path, 0.02, None)
+    assert max(grid.tiles) > 2 and record["crs"] is None
+    known = ~np.isnan(heights)
+    steps = abs(np.diff(np.where(known, heights, 7.0), axis=1)).max(axis=0)
+    assert steps[511] < 2.1 and known[5:-5, 500:524].mean() > 0.98
+    ground = heights[20:100]
+    assert abs(ground - 7).max() < 5e-3
+    with rasterio.open(tmp_path / "surface.tif") as file:
+        assert file.overviews(1) == [2, 4]
+    with rasterio.open(tmp_path / "surface.tif", overview_level=0) as file:
+        half = file.read(1)
+    assert np.allclose(half[10:50], 7, atol=5e-3)
+
+
+@pytest.mark.slow
+def test_where_nothing_is_known(item_device, tmp_path):
+    """Beyond the model there are holes; where one photo alone looks, nothing is claimed."""
+    scene = made.scene(None)
+    bounds = (80.0, -70.0, 120.0, -30.0)
+    grid = map_grid(scene, 0.1, bounds)
+    write_map(run_of(tmp_path, scene), scene, grid, None, item_device, tmp_path, points=False)
+    colours, heights = rasters(tmp_path)
+    assert (colours[:70, :70, 3] == 0).all() and np.isnan(heights[:70, :70]).all()
+    assert np.array_equal(np.isnan(heights), colours[..., 3] == 0)
+    assert not (colours[..., :3][colours[..., 3] == 0]).any()
+    alone = dataclasses.replace(scene, views=scene.views[:1])
+    with pytest.raises(InputError, match="--bounds"):
+        write_map(run_of(tmp_path, alone), alone, grid, None, item_device, tmp_path / "one",
+                  points=False)
+    assert not any((tmp_path / "one").iterdir())
+
+
+@pytest.mark.slow
+def test_faint_ground_has_the_colour_of_the_training(item_device, tmp_path):
+    """What shows through is the background, as where the photos taught it; fainter is a hole."""
+    scene, run = made.scene(None), run_of(tmp_path, made.scene(None))
+    run.finished_model.opacity_logits[:] = -1.2
+    grid = map_grid(scene, 0.1)
+    write_map(run, scene, grid, None, item_device, tmp_path, points=False, interval=0)
+    ground = rasters(tmp_path)[0][15:40, 15:40].reshape(-1, 4)
+    covered = ground[:, :3] / np.multiply(made.GROUND_RED, 255)
+    assert (ground[:, 3] == 255).all() and 0.5 < covered.min() and covered.max() < 0.9
+    assert np.ptp(covered, axis=1).max() < 0.03
+    assert not (tmp_path / "contours.geojson").exists()
+    run.finished_model.opacity_logits[:] = -3
+    with pytest.raises(InputError, match="train longer"):
+        write_map(run, scene, grid, None, item_device, tmp_path / "fainter", points=False)
+
+
+@pytest.mark.slow
+def test_a_map_in_another_system_lies_at_the_same_places(item_device, tmp_path):
+    scene = made.scene()
+    wanted = "EPSG:25832"  # the neighbouring zone: turned by degrees against the scene's
+    other = reprojection_of(made.UTM.crs, wanted)
+    grid = map_grid(scene, 0.1, None, other)
+    write_map(run_of(tmp_path, scene), scene, grid, wanted, item_device, tmp_path, points=False)
+    colours = rasters(tmp_path)[0]
+    middle = made.OFFSET + made.UTM.offset
+    inside, outside = np.array([[2.7, 2.7, 0], [-2.7, 2.7, 0]]), np.array([[3.5, 2.7, 0.]])
+    for places, blue in ((inside, True), (outside, False)):
+        for column, row in np.floor(grid.pixels(other.to_map(middle + places))).astype(int):
+            assert (colours[row, column, 2] > colours[row, column, 0]) == blue
+    with pytest.raises(InputError, match="in metres"):
+        reprojection_of(made.UTM.crs, "EPSG:4326")
+    with pytest.raises(InputError, match="EPSG:nonsense"):
+        reprojection_of(made.UTM.crs, "EPSG:nonsense")
+
+
+@pytest.mark.slow
+def test_the_surface_as_points(item_device, tmp_path, monkeypatch):
+    laspy = pytest.importorskip("laspy", reason="laspy is not installed (extra geo)")
+    pytest.importorskip("lazrs", reason="lazrs is not installed (extra geo)")
+    monkeypatch.setattr(module, "MOST_POINTS", 100_000)  # so that a coarser surface is taken
+    scene = made.scene()
+    grid = map_grid(scene, 0.02)
+    write_map(run_of(tmp_path, scene), scene, grid, made.UTM.crs, item_device, tmp_path)
+    cloud = laspy.read(tmp_path / "surface.laz")
+    assert cloud.header.parse_crs().to_epsg() == 32633 and 80_000 < len(cloud.points) <= 100_000
+    left, bottom, right, top = grid.bounds
+    assert cloud.x.min() > left and cloud.x.max() < right
+    assert cloud.y.min() > bottom and cloud.y.max() < top
+    base = made.OFFSET[2] + made.UTM.offset[2]
+    roof = np.asarray(cloud.z) > base + 1.9
+    assert abs(np.asarray(cloud.z)[roof] - base - made.ROOF).max() < 0.01
+    assert abs(roof.sum() * 0.08**2 - (2 * made.HOUSE + 2.4 * made.SPACING)**2) < 2
+    assert (np.asarray(cloud.blue)[roof] > np.asarray(cloud.red)[roof]).all()
+
+
+def test_the_grid_follows_the_photos():
+    scene = made.scene(None, width=400)
+    assert abs(ground_resolution(scene) - 20 / scene.views[0].camera.focal[0]) < 2e-3
+    tilted = made.scene(None, up=(0, np.sin(0.3), np.cos(0.3)))
+    axes = map_grid(tilted).axes
+    assert np.allclose(axes @ axes.T, np.eye(3)) and np.linalg.det(axes) > 0
+    assert np.allclose(axes[2], tilted.up)
+    up = np.array([0.002, -0.01, 1]) / np.linalg.norm([0.002, -0.01, 1])
+    axes = map_grid(made.scene(None, up=up)).axes  # the estimate of a scene whose z points up
+    assert np.allclose(axes[2], up) and np.allclose(axes @ axes.T, np.eye(3))
+    assert np.linalg.det(axes) > 0 and abs(axes[[0, 1], [1, 0]]).max() < 1e-4
+    assert np.array_equal(map_grid(scene).axes, np.eye(3))
+    with pytest.raises(InputError, match="coarser resolution"):
+        map_grid(scene, 1e-6)
+
+
+def test_the_command(tmp_path, monkeypatch):
+    monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(None)))
+    words = ["map", "run", "-o", str(tmp_path / "map"), "--resolution", "0.1", "--no-points"]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0 and "heights 7.00 to 9.00" in result.output, result.output
+    assert {path.name for path in (tmp_path / "map").iterdir()} == FILES
+    again = CliRunner().invoke(main, words)
+    assert again.exit_code == 2 and "--overwrite" in again.output
+    (tmp_path / "map" / "mine.txt").write_text("mine")
+    again = CliRunner().invoke(main, [*words, "--overwrite", "--contours", "0"])
+    assert again.exit_code == 0, again.output
+    left = {path.name for path in (tmp_path / "map").iterdir()}
+    assert left == FILES - {"contours.geojson"} | {"mine.txt"}, "no lines of the earlier map"

@@ -1,0 +1,107 @@
+"""Words of `clsplat map` that no one should give, or that few do: each is refused in one line, or
+drawn right."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import rasterio
+from click.testing import CliRunner
+
+from clsplat.apps.map import stated
+from clsplat.cli.main import main
+from clsplat.evaluation.run import Run
+from clsplat.georeference import Residual
+from tests.apps.test_map import run_of
+from tests.data import ground_model as made
+
+COMPOUND = "EPSG:32633+5773"
+LOCAL = "+proj=tmerc +lat_0=51.4 +lon_0=13.6 +k=1 +x_0=10000 +y_0=5000 +ellps=GRS80 +units=m"
+MIDDLE = made.OFFSET + made.UTM.offset
+NEAR = tuple(str(side) for side in (MIDDLE[0] - 4, MIDDLE[1] - 4, MIDDLE[0] + 4, MIDDLE[1] + 4))
+REFUSED = [
+    (["--resolution", "100km"], "larger than the map"),
+    (["--resolution", "1e-300mm"], "pixels along a side"),
+    (["--resolution", "0"], "size of a pixel"),
+    (["--resolution", "nan"], "not a length"),
+    (["--resolution", "5 cm cm"], "not a length"),
+    (["--bounds", "nan", "0", "1", "1"], "--bounds"),
+    (["--bounds", "0", "5", "1", "1"], "--bounds"),
+    (["--bounds", "-1e300", "-1e300", "1e300", "1e300"], "pixels along a side"),
+    pytest.param(["--bounds", "0", "0", "10", "10", "--resolution", "1"], "other --bounds",
+                 marks=pytest.mark.slow),
+    (["--crs", "EPSG:4326"], "projected"),
+    (["--crs", "EPSG:2227"], "in metres"),
+    (["--crs", COMPOUND], "heights are not converted"),
+    (["--crs", "nonsense"], "not a coordinate reference system"),
+    (["--fill", "51px"], "number of pixels"),
+    pytest.param(["--contours", "1e-300", "--resolution", "1"], "larger interval",
+                 marks=pytest.mark.slow),  # after drawing
+]
+
+
+@pytest.fixture
+def mapped(tmp_path, monkeypatch):
+    """A function of words, and of the georeference of the scene."""
+
+    def call(words, place=made.UTM):
+        monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(place)))
+        folder = tmp_path / "map"
+        return folder, CliRunner().invoke(main, ["map", "run", "-o", str(folder), *words])
+    return call
+
+
+@pytest.mark.parametrize("words, message", REFUSED, ids=lambda value: " ".join(value)
+                         if isinstance(value, list) else "")
+def test_refused_in_one_line(mapped, words, message):
+    folder, result = mapped(words)
+    assert result.exit_code == 2 and message in result.output, result.output
+    line = result.output.strip().splitlines()[-1]
+    assert line.startswith(("error: ", "Error: ")) and len(line) < 400, line
+    assert not folder.exists() or not any(folder.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [
+    ["--crs", LOCAL], ["--fill", "50px"], ["--contours", "0"], ["--bounds", *NEAR],
+    ["--resolution", "20m"]], ids=" ".join)
+def test_drawn(mapped, words):
+    size = [] if "--resolution" in words else ["--resolution", "0.5"]
+    folder, result = mapped([*words, *size, "--no-points"])
+    assert result.exit_code == 0, result.output
+    record = json.loads((folder / "map.json").read_text())
+    with rasterio.open(folder / "surface.tif") as file:
+        assert file.shape == (record["rows"], record["columns"])
+        assert file.crs == rasterio.CRS.from_user_input(record["crs"])
+        heights = file.read(1)
+    base = MIDDLE[2]
+    assert base - 0.1 < np.nanmin(heights) and np.nanmax(heights) < base + made.ROOF + 0.1
+    assert "residual 0.10 m" in result.output and "heights: unknown" in result.output
+    assert {path.name[0] for path in folder.iterdir()}.isdisjoint("."), "nothing temporary is left"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wanted", [None, "EPSG:25833"])
+def test_a_scene_with_a_vertical_part(mapped, wanted):
+    from clsplat.io.georeference.crs import normal_crs
+    place = dataclasses.replace(made.UTM, crs=normal_crs(COMPOUND))
+    folder, result = mapped(["--resolution", "0.5", "--no-points",
+                             *(["--crs", wanted] if wanted else [])], place)
+    assert result.exit_code == 0 and "heights: EGM96 height" in result.output, result.output
+    with rasterio.open(folder / "surface.tif") as file:
+        assert file.tags()["VERTICAL_REFERENCE"] == "EGM96 height"
+        assert file.crs == rasterio.CRS.from_user_input(wanted or COMPOUND)
+
+
+@pytest.mark.slow
+def test_a_georeference_with_residuals_by_axis_and_a_warning(mapped):
+    known = dataclasses.replace(
+        made.UTM, vertical="EGM96 height (EPSG:5773)",
+        warnings=("the residual is 9 % of the flight's size: check the GPS",),
+        residuals=tuple(Residual(str(sign), "check", sign * 0.25, 0.25, None) for sign in (-1, 1)))
+    folder, result = mapped(["--resolution", "0.5", "--no-points"], known)
+    assert "check RMS: east 0.25 m, north 0.25 m" in result.output, result.output
+    assert "warning: the residual is 9 %" in result.output
+    assert json.loads((folder / "map.json").read_text())["georeference"]["residuals_rms"] == {
+        "check": {"east": 0.25, "north": 0.25}}

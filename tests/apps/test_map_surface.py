@@ -1,0 +1,160 @@
+"""What a map claims: its files' layout, coordinate systems, pits, holes and extent."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pyproj
+import pytest
+import rasterio
+import rasterio.shutil
+import tifffile
+
+from clsplat.apps.geotiff import Raster, check_crs
+from clsplat.apps.map import write_map
+from clsplat.apps.map_grid import TILE, MapGrid, map_grid
+from clsplat.gaussians import Gaussians
+from clsplat.io.georeference.crs import map_crs
+from clsplat.io.models.las import write_points
+from clsplat.options import TrainOptions
+from tests.apps.test_map import drawn, rasters, run_of
+from tests.data import ground_model as made
+
+
+def cog_faults(path):
+    """What keeps a GeoTIFF from being cloud-optimised, by the offsets of its directories and data:
+    directories from fine to coarse, all before the data, whose coarsest overview comes first."""
+    with tifffile.TiffFile(path) as file:
+        pages = list(file.pages)
+    headers = [page.offset for page in pages]
+    data = [min(offset for offset in page.dataoffsets if offset) for page in pages]
+    return ([] if headers == sorted(headers) else ["order of directories"]) + (
+        [] if data == sorted(data, reverse=True) else ["order of data"]) + (
+        [] if max(headers) < min(data) else ["directories after data"]) + (
+        [] if all(page.is_tiled for page in pages) else ["strips"])
+
+
+@pytest.mark.slow
+def test_files_are_cloud_optimised(item_device, tmp_path):
+    drawn(item_device, tmp_path, 0.02, None)
+    for name in ("orthophoto.tif", "surface.tif"):
+        assert cog_faults(tmp_path / name) == []
+    with rasterio.open(tmp_path / "orthophoto.tif") as file:
+        rasterio.shutil.copy(file, tmp_path / "plain.tif", driver="GTiff", tiled=True,
+                             copy_src_overviews=False)
+    with rasterio.open(tmp_path / "plain.tif", "r+") as file:
+        file.build_overviews([2, 4])
+    assert cog_faults(tmp_path / "plain.tif"), "the check finds what is no COG"
+
+
+CODELESS = {
+    "compound": "EPSG:32633+5773",
+    "local": "+proj=tmerc +lat_0=51.4 +lon_0=13.6 +k=1 +x_0=10000 +y_0=5000 +ellps=GRS80 +units=m",
+    "towgs84": "+proj=tmerc +lat_0=0 +lon_0=15 +k=1 +x_0=5500000 +ellps=bessel "
+               "+towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7",
+    "laea": "+proj=laea +lat_0=51 +lon_0=13 +datum=WGS84",
+    "by ESRI": "ESRI:102008",
+}
+
+
+@pytest.mark.parametrize("text", CODELESS.values(), ids=CODELESS)
+@pytest.mark.one_in(5)
+def test_a_crs_without_a_code_is_read_back_equal(tmp_path, text):
+    """By GDAL from the GeoTIFF, and by laspy from the LAZ."""
+    laspy = pytest.importorskip("laspy", reason="laspy is not installed (extra geo)")
+    crs = map_crs(text)
+    check_crs(crs)
+    grid = MapGrid(np.eye(3), np.zeros(3), 5e5, 5.7e6, 1.0, 8, 4, 9.0)
+    raster = Raster(tmp_path / "raw", grid, crs, {"height": "metre", "spread": "metre"}, False)
+    raster.write((0, 0), np.ones((TILE, TILE, 2)))
+    raster.finish({})
+    raster.save(tmp_path / "a.tif")
+    write_points(tmp_path / "a.las", [(np.full((1, 3), 5e5), np.ones((1, 3)), np.ones(1))],
+                 (np.zeros(3), np.full(3, 6e6)), 0.01, crs)
+    with rasterio.open(tmp_path / "a.tif") as file:
+        assert file.crs == rasterio.CRS.from_user_input(crs)
+        assert pyproj.CRS(file.crs.to_wkt()).is_compound == pyproj.CRS(crs).is_compound
+    assert laspy.read(tmp_path / "a.las").header.parse_crs() == pyproj.CRS(crs)
+
+
+def with_holes():
+    """The made-up ground with a true hole of 10 m depth and 5 m width, whose bottom is opaque, and
+    a pit: ground so thin that most of the light ends at a stray gaussian 30 m below."""
+    model = made.model()
+    x, y, _ = model.positions.T
+    hole = (abs(x + 7) < 2.5) & (abs(y - 6) < 2.5)
+    model.positions[hole, 2] = -10
+    thin = (abs(x - 7) < 1.5) & (abs(y + 7) < 1.5)
+    model.opacity_logits[thin] = -2.2
+    stray = Gaussians({**{name: rows[:1].copy() for name, rows in model.rows.items()},
+                       "positions": np.array([[7, -7, -30]], np.float32),
+                       "log_scales": np.log(np.array([[3, 3, 0.1]], np.float32))}, 0, made.OFFSET)
+    rows = {name: np.concatenate([values, stray.rows[name]])
+            for name, values in model.rows.items()}
+    return Gaussians(rows, 0, made.OFFSET)
+
+
+def test_a_pit_is_left_out_and_a_true_hole_stays(item_device, tmp_path):
+    model, scene = with_holes(), made.scene(None)
+    points = model.positions[model.positions[:, 2] > -20].astype(float)
+    scene = dataclasses.replace(scene, points=points,
+                                colours=np.zeros((len(points), 3), np.uint8))
+    grid = dataclasses.replace(map_grid(scene, 0.1), floor=-np.inf)  # the local rule alone
+    run = SimpleNamespace(path=tmp_path, finished_model=model, options=TrainOptions(),
+                          georeference=None)
+    record = write_map(run, scene, grid, None, item_device, tmp_path, points=False, interval=0)
+    colours, heights = rasters(tmp_path)
+
+    def at(x, y):
+        column, row = np.floor(grid.pixels(made.OFFSET[None] + (x, y, 0))).astype(int)[0]
+        return np.s_[row - 5:row + 6, column - 5:column + 6]
+    assert abs(heights[at(-7, 6)] - (7 - 10)).max() < 0.1, "the bottom of the hole"
+    assert np.isnan(heights[at(7, -7)]).all() and record["pits"] > 400
+    assert (colours[at(7, -7)][..., 3] == 255).all(), "its colour stays"
+    assert abs(heights[at(0, 0)] - 9).max() < 0.01 and abs(heights[at(0, -8)] - 7).max() < 0.01
+
+
+@pytest.mark.slow
+def test_below_all_points_nothing_is_known(item_device, tmp_path):
+    """Where the ground is missing altogether, a stray gaussian far below is no surface."""
+    run, scene = run_of(tmp_path, made.scene(None)), made.scene(None)
+    model = run.finished_model
+    gone = (model.positions[:, :2] > 5).all(axis=1)
+    model.positions[gone, 2] = -40
+    write_map(run, scene, map_grid(scene, 0.1), None, item_device, tmp_path, points=False)
+    heights = rasters(tmp_path)[1]
+    assert np.nanmin(heights) > 6.5 and np.isnan(heights[20:50, -50:-20]).all()
+
+
+@pytest.mark.slow
+def test_small_holes_are_filled_on_request(item_device, tmp_path):
+    run, scene = run_of(tmp_path, made.scene(None)), made.scene(None)
+    model, grid = run.finished_model, map_grid(scene, 0.1)
+    x, y, _ = model.positions.T
+    model.opacity_logits[(abs(x - 7) < 0.6) & (abs(y) < 0.6)] = -9
+    model.opacity_logits[(abs(x + 8) < 2.6) & (abs(y) < 2.6)] = -9
+    found = []
+    for fill in (0, 12):
+        record = write_map(run, scene, grid, None, item_device, tmp_path, points=False, fill=fill)
+        found.append((record, *rasters(tmp_path)))
+    (before, _, holes), (after, colours, heights) = found
+    small, large = (np.floor(grid.pixels(made.OFFSET[None] + (x, 0, 0))).astype(int)[0][::-1]
+                    for x in (7, -8))
+    assert np.isnan(holes[tuple(small)]) and before["filled"] == 0 < after["filled"]
+    assert abs(heights[tuple(small)] - 7) < 0.01 and colours[tuple(small)][3] == 255
+    assert colours[tuple(small)][0] > 2 * colours[tuple(small)][1] > 0, "red as the ground is"
+    assert np.isnan(heights[tuple(large)]) and colours[tuple(large)][3] == 0
+
+
+@pytest.mark.slow
+def test_the_extent_is_that_of_all_that_is_covered(item_device, tmp_path):
+    """The sparse points lie in one half; nothing is cut, and little is empty."""
+    scene = made.scene(None)
+    kept = scene.points[:, 0] < 3
+    half = dataclasses.replace(scene, points=scene.points[kept], colours=scene.colours[kept])
+    record = write_map(run_of(tmp_path, half), half, map_grid(half, 0.1), None, item_device,
+                       tmp_path, points=False, follow=True)
+    left, bottom, right, top = record["bounds"]
+    middle = made.OFFSET[:2]
+    assert abs(np.array([left, bottom, right, top]) - [*(middle - 12), *(middle + 12)]).max() < 1
+    assert record["covered"] > 0.9 and (rasters(tmp_path)[0][..., 3] == 0).any(axis=1).all()

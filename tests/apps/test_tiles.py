@@ -1,0 +1,201 @@
+import json
+
+import numpy as np
+import pyproj
+import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from clsplat.edit.select import merged
+from clsplat.apps.tiles import (
+    placement,
+    tile_tree,
+    upright,
+    write_tiles,
+)
+from clsplat.georeference import Georeference
+from clsplat.io.models.formats import read_model, read_notes
+from tests.data.cloud import cloud
+from tests.io.models.test_formats import BOUNDS, compare, model
+from tests.io.models.test_gltf_spz import parts
+
+Y_TO_Z = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # what a viewer does to glTF content
+GLTF_TO_PLY = np.diag([-1.0, -1, 1])  # what `read_model` does to the axes of glTF
+SPZ_TO_PLY = np.diag([1.0, -1, -1])  # and to those of SPZ
+
+
+def content_of(path):
+    """The gaussians of a tile, and the matrix [3, 3] from there to what a viewer has."""
+    document, _ = parts(path)
+    model, node = read_model(path), document["nodes"][0]  # read_model leaves out its turn
+    if "extensionsRequired" not in document:
+        return model, Y_TO_Z @ Rotation.from_quat(node["rotation"]).as_matrix() @ GLTF_TO_PLY
+    accessors = document["accessors"]
+    assert {accessor["count"] for accessor in accessors} == {model.count}
+    assert len(accessors) == 4 + (model.sh_degree + 1) ** 2 - 1
+    return model, Y_TO_Z @ np.reshape(node["matrix"], (4, 4)).T[:3, :3] @ SPZ_TO_PLY
+
+
+def written(tmp_path, tree, georeference=None, compressed=False):
+    """(the tileset, its tiles in order, each with its places [N, 3] as a viewer has them)."""
+    write_tiles(tmp_path, tree, georeference, compressed)
+    tileset = json.loads((tmp_path / "tileset.json").read_text())
+    transform = np.reshape(tileset["root"]["transform"], (4, 4)).T
+    tiles = []
+
+    def visit(record):
+        model, turn = content_of(tmp_path / record["content"]["uri"])
+        local = model.positions.astype(float) @ turn.T
+        tiles.append((record, model, local, local @ transform[:3, :3].T + transform[:3, 3]))
+        for child in record.get("children", ()):
+            visit(child)
+    visit(tileset["root"])
+    return tileset, tiles
+
+
+def sorted_rows(values):
+    return values[np.lexsort(values.T)]
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_the_leaves_hold_every_gaussian_once(tmp_path, compressed):
+    model = cloud(1000, sh_degree=1, size=0.02, offset=(7.0, -3.0, 100.0))
+    tileset, tiles = written(tmp_path, tile_tree(model, limit=60), None, compressed)
+    leaves = [tile for tile in tiles if "children" not in tile[0]]
+    inner = [tile for tile in tiles if "children" in tile[0]]
+    assert len(inner) > 5 and max(tile[1].count for tile in tiles) <= 60
+    assert min(tile[1].count for tile in leaves) >= 30, "no tiles of a few outliers"
+    whole = model.positions + model.offset
+    places = np.concatenate([places for *_, places in leaves])
+    away, nearest = cKDTree(places).query(whole)
+    assert len(places) == len(whole) == len(set(nearest)) and away.max() < 5e-3
+    colours = np.concatenate([tile[1].sh_constant for tile in leaves])[nearest]
+    shown = np.abs(model.sh_constant) < 1.7  # SPZ holds no brighter or darker ones
+    assert np.abs(colours - model.sh_constant)[shown].max() < (0.02 if compressed else 1e-6)
+    extension = tileset["extensions"]["3DTILES_content_gltf"]["extensionsRequired"]
+    assert (len(extension) == 2) == compressed
+    assert len(list(tmp_path.glob("tiles/*.glb"))) == len(tiles)
+    assert tileset["asset"]["version"] == "1.1" and tileset["root"]["refine"] == "REPLACE"
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_boxes_and_errors_hold_what_is_below(tmp_path, compressed):
+    tree = tile_tree(cloud(700, size=0.02), limit=50)
+    tileset, tiles = written(tmp_path, tree, None, compressed)
+    by_uri = {record["content"]["uri"]: local for record, _, local, _ in tiles}
+    for record, *_ in tiles:
+        low, high = ends_of(record)
+        for child in below(record):
+            places = by_uri[child["content"]["uri"]]
+            assert (places >= low - 1e-5).all() and (places <= high + 1e-5).all()
+            assert child["geometricError"] <= record["geometricError"]
+        assert (record["geometricError"] > 0) == ("children" in record)
+    assert tileset["geometricError"] > tileset["root"]["geometricError"]
+
+
+def below(record):
+    """A tile of a tileset and all tiles below it."""
+    yield record
+    for child in record.get("children", ()):
+        yield from below(child)
+
+
+def ends_of(record):
+    """The two corners of a tile's box, which has the directions of the axes."""
+    box = np.array(record["boundingVolume"]["box"])
+    return box[:3] - np.diag(box[3:].reshape(3, 3)), box[:3] + np.diag(box[3:].reshape(3, 3))
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_the_tileset_keeps_the_rules_of_3d_tiles(tmp_path, compressed):
+    """Those of the JSON schema of OGC 22-025r4 (3D Tiles 1.1), and of its sections on tiles."""
+    tileset, tiles = written(tmp_path, tile_tree(cloud(500, sh_degree=1, size=0.05), limit=40),
+                             None, compressed)
+    assert set(tileset) == {"asset", "extensionsUsed", "extensions", "geometricError", "root"}
+    assert tileset["asset"]["version"] == "1.1"
+    assert set(tileset["extensions"]) <= set(tileset["extensionsUsed"])
+    transform = np.reshape(tileset["root"]["transform"], (4, 4)).T
+    assert transform[3].tolist() == [0, 0, 0, 1] and np.linalg.det(transform) > 0
+    assert tileset["root"]["refine"] in ("ADD", "REPLACE"), "the root must say it"
+    local = {record["content"]["uri"]: (model, places) for record, model, places, _ in tiles}
+    assert tileset["geometricError"] >= tileset["root"]["geometricError"]
+    for record, *_ in tiles:
+        assert {"boundingVolume", "geometricError", "content"} <= set(record) <= {
+            "boundingVolume", "geometricError", "content", "children", "refine", "transform"}
+        assert list(record["boundingVolume"]) == ["box"] and record["geometricError"] >= 0
+        numbers = record["boundingVolume"]["box"]
+        assert len(numbers) == 12 and np.isfinite(numbers).all()
+        low, high = ends_of(record)
+        assert (low < high).all()
+        path = tmp_path / record["content"]["uri"]
+        assert path.is_file() and path.resolve().is_relative_to(tmp_path.resolve())
+        assert record.get("children") != []
+        for child in record.get("children", ()):
+            assert child["geometricError"] < record["geometricError"]
+            assert "refine" not in child or child["refine"] in ("ADD", "REPLACE")
+            least, most = ends_of(child)  # rounded, as centre and half
+            assert (least >= low - 1e-9).all() and (most <= high + 1e-9).all()
+        model, places = local[record["content"]["uri"]]
+        reach = np.exp(model.log_scales).max(axis=1)[:, None]  # the largest standard deviation
+        assert (places - reach >= low - 0.1).all() and (places + reach <= high + 0.1).all()
+    used = {record["content"]["uri"] for record in below(tileset["root"])}
+    assert used == {path.relative_to(tmp_path).as_posix() for path in tmp_path.glob("tiles/*")}
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_viewer_has_the_model_that_was_written(tmp_path, compressed):
+    """Positions, sizes, turns, colours and harmonics, of a model that must be turned upright."""
+    up, written_model = np.array([0.0, -0.6, -0.8]), model(300, 2, (3.0, -50.0, 7.0))
+    expected = upright(written_model, up)
+    tileset, tiles = written(tmp_path, tile_tree(expected, limit=90), None, compressed)
+    transform = np.reshape(tileset["root"]["transform"], (4, 4)).T
+    leaves = []
+    for record, found, *_ in tiles:
+        turn = content_of(tmp_path / record["content"]["uri"])[1]
+        assert np.allclose(transform[:3, :3] @ turn, np.eye(3))
+        if "children" not in record:
+            leaves.append(found.located(transform[:3, 3]))
+    compare(merged(leaves), expected, BOUNDS[".spz"] if compressed
+            else (1e-6, *BOUNDS[".glb"][1:]))
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_tiles_say_how_their_model_was_trained(tmp_path, compressed):
+    for name, comments in (("classic", ()), ("mip", ("SplatRenderMode: mip",))):
+        (tmp_path / name).mkdir()
+        write_tiles(tmp_path / name, tile_tree(cloud(5)), None, compressed, comments=comments)
+        tile = tmp_path / name / "tiles" / "0.glb"
+        assert read_notes(tile).antialiased == (name == "mip")
+
+
+def test_levels_of_sig_take_the_place_of_merged_gaussians():
+    model, level = cloud(400, size=0.02), cloud(40, seed=7, size=0.1)
+    tree = tile_tree(model, [level], limit=50)
+    assert sorted_rows(tree.gaussians.positions).tolist() == sorted_rows(level.positions).tolist()
+    without = tile_tree(model, [cloud(9, seed=7)], limit=50)  # too few
+    assert without.gaussians.count == 50
+
+
+def test_tiles_stand_upright():
+    up = np.array([0.0, -0.6, -0.8])
+    model = cloud(20, offset=tuple(5 * up))
+    turned = upright(model, up)
+    heights = (model.positions + model.offset) @ up
+    assert np.allclose((turned.positions + turned.offset)[:, 2], heights, atol=1e-5)
+    assert upright(model, np.array([0.0, 0, 1])).positions is model.positions
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_on_the_earth(tmp_path, compressed):
+    place = Georeference("EPSG:32633", (465_000.0, 5_800_000.0, 50.0), "", 0.0)
+    model = cloud(50, offset=(100.0, 200.0, 10.0))
+    _, tiles = written(tmp_path, tile_tree(model, limit=60), place, compressed)
+    # heights are above the ellipsoid
+    east, north, height = (model.positions + model.offset + np.array(place.offset)).T
+    degrees = pyproj.Transformer.from_crs("EPSG:32633", "OGC:CRS84", always_xy=True).transform(
+        east, north)
+    expected = np.stack(pyproj.Transformer.from_crs(
+        "EPSG:4979", "EPSG:4978", always_xy=True).transform(*degrees, height), axis=1)
+    assert cKDTree(tiles[0][3]).query(expected)[0].max() < 0.03
+    matrix = placement(model.offset, place)
+    assert np.linalg.det(matrix[:3, :3]) == pytest.approx(1, abs=2e-3), "no mirror"
