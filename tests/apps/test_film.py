@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from clsplat.cli.main import main
-from clsplat.errors import InputError
-from clsplat.evaluation.run import Run
 from clsplat.apps.camera_path import (
     flight,
     interpolated,
     read_camera_path,
     turntable,
 )
+from clsplat.cli.main import main
+from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
 from clsplat.io.photos.images import read_image
 from clsplat.options import TrainOptions
 from tests.data import ground_model as made

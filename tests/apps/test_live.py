@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from clsplat.api.run import Run
+from clsplat.apps import live
+from clsplat.apps.frames import FrameRequest
+from clsplat.apps.live import TrainingView, live_page, show_run
 from clsplat.evaluation.streamed import Streaming
 from clsplat.evaluation.views import render_view
-from clsplat.report.model_page import view_record
 from clsplat.io.models.tree import TREE
 from clsplat.io.photos.images import read_image
 from clsplat.io.runs.run import RunFolder
 from clsplat.rendering.slabs import open_model
+from clsplat.report.model_page import view_record
 from clsplat.training.loop import train
-from clsplat.apps import live
-from clsplat.apps.frames import FrameRequest
-from clsplat.apps.live import TrainingView, live_page, show_run
+from tests.apps.browser import answer_of, needs_chromium
 from tests.data.made_tree import write_tree
 from tests.data.tiny_training import LEVELLED, model_digest, options_of
-from tests.apps.browser import answer_of, needs_chromium
 
 FRAME = (64, 48)
 

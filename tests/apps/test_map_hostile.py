@@ -9,7 +9,6 @@ import pytest
 import rasterio
 from click.testing import CliRunner
 
-from clsplat.apps.map import stated
 from clsplat.cli.main import main
 from clsplat.evaluation.run import Run
 from clsplat.georeference import Residual

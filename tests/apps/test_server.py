@@ -9,12 +9,12 @@ import time
 import numpy as np
 import pytest
 
-from clsplat.camera import Camera
-from clsplat.errors import InputError
-from clsplat.io.photos.images import read_image
 from clsplat.apps import server as server_module
 from clsplat.apps.frames import FrameRequest, FrameRequests
 from clsplat.apps.server import ViewServer, camera_of
+from clsplat.camera import Camera
+from clsplat.errors import InputError
+from clsplat.io.photos.images import read_image
 
 CAMERA = {"width": 8, "height": 6, "focal": [5, 5], "centre": [4, 3], "position": [1, 2, 3],
           "rotation": [[1, 0, 0], [0, 0, -1], [0, 1, 0]]}

@@ -6,13 +6,13 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from clsplat.edit.select import merged
 from clsplat.apps.tiles import (
     placement,
     tile_tree,
     upright,
     write_tiles,
 )
+from clsplat.edit.select import merged
 from clsplat.georeference import Georeference
 from clsplat.io.models.formats import read_model, read_notes
 from tests.data.cloud import cloud

@@ -13,14 +13,14 @@ from clsplat.errors import InputError
 from clsplat.estimate.trial_steps import sampled
 from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.views import render_view
-from clsplat.report import model_page as page_module
-from clsplat.report.model_page import encoded, write_page
 from clsplat.gaussians import Gaussians
 from clsplat.io.georeference.files import write_orientation
 from clsplat.rendering.slabs import open_model
-from tests.estimate.test_plan import city, clsplat_
+from clsplat.report import model_page as page_module
+from clsplat.report.model_page import encoded, write_page
 from tests.apps.browser import answer_of, needs_chromium, picture_of
 from tests.apps.test_models import run_with
+from tests.estimate.test_plan import city, clsplat_
 
 __all__ = ["city"]
 PICTURE = 'return page.document.getElementById("picture").toDataURL();'
