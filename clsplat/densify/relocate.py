@@ -8,7 +8,7 @@ opacity and size are chosen so that the sum looks as it did (eq. 9).
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.densify.grow import Growth
+from clsplat.schedule.growth import Growth
 
 Floats = NDArray[np.float64]
 STEP, REACH = 0.25, 8.0  # of the sum for an integral, standard deviations; its error is below 1e-12

@@ -21,6 +21,7 @@ from clsplat.schedule.plan import Plan, SceneFacts
 
 if TYPE_CHECKING:
     from clsplat.options import ScheduledOptions
+    from clsplat.schedule.growth import Growth, Round
 
 LARGEST_FACTOR = 8
 TILE = 16  # pixels
@@ -44,7 +45,7 @@ class Dash(Constant):
 
     defaults = {"reset_every": 3000, "exposure": "off"}
     parts = frozenset({"levels"})
-    selection = "highest"
+    fills_target = True
 
     @classmethod
     def grows_until(cls, options: ScheduledOptions) -> int:
@@ -104,6 +105,12 @@ class Dash(Constant):
         if steps + o.densify_every < o.densify_until:
             growth /= self.factor ** (2 - steps / o.densify_until)
         return max(count, min(initial + int(growth), count + count // MOST_GROWTH))
+
+    def grow(self, round: Round) -> Growth:
+        """See `Schedule.grow`; those of the highest gradients grow, whatever the threshold is."""
+        room = self.room(round, round.prunes)
+        assert room is not None  # there is a target
+        return round.densify(round.highest(room))
 
     def ahead(self, iteration: int) -> list[tuple[float, float]]:
         """See `Schedule.ahead`: along the curve."""

@@ -17,6 +17,7 @@ from clsplat.schedule.plan import Plan, SceneFacts, Schedule
 
 if TYPE_CHECKING:
     from clsplat.options import ScheduledOptions
+    from clsplat.schedule.growth import Growth, Round
 
 GROWS_SHARE = 25 / 30  # of the run
 CAP = 1_000_000  # gaussians up to which the model grows, unless --max-gaussians names them
@@ -37,7 +38,7 @@ class Mcmc(Schedule):
                 "opacity_weight": 0.01, "scale_weight": 0.01}
     parts = frozenset({"mcmc"})
     Options = McmcOptions
-    selection = "relocation"
+    fills_target = True
 
     @classmethod
     def grows_until(cls, options: "ScheduledOptions") -> int:
@@ -62,3 +63,8 @@ class Mcmc(Schedule):
         """See `Schedule.target`."""
         cap = self.options.max_gaussians or CAP
         return max(count, min(cap, int((1 + self.options.mcmc_growth) * count)))
+
+    def grow(self, round: "Round") -> "Growth":
+        """See `Schedule.grow`; in place of pruning, dead gaussians become copies of others."""
+        count = int((~round.frozen).sum())
+        return round.relocate(round.room(self.target(round.iteration, count, 0), count) or 0)

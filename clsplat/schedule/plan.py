@@ -12,6 +12,7 @@ if TYPE_CHECKING:  # --help must not wait for numpy
     from numpy.typing import NDArray
 
     from clsplat.options import ScheduledOptions
+    from clsplat.schedule.growth import Growth, Round
 
 LIMITS = (("level", 1, 1e6), ("degree", 0, 3), ("decay", -1, math.inf),  # of a Plan
           ("regularises", 0, 1e6))
@@ -82,8 +83,8 @@ class Schedule:
     """Base class of all schedules.
 
     A schedule must define `plan`; everything else has a default. For each step the training calls,
-    in this order: `plan`; `target` and `spares_half`, if the plan grows, during the round of growth
-    that follows the step; `observe`, every `observe_every` steps. A schedule may keep state between
+    in this order: `plan`; `grow`, if the plan grows, in the round of growth that follows the step;
+    `observe`, every `observe_every` steps. A schedule may keep state between
     the calls; `state` and `load` carry it through a checkpoint. `clsplat plan` drives the same
     methods without a model, so they must not depend on anything but their arguments.
 
@@ -99,9 +100,8 @@ class Schedule:
         refused.
     Options : frozen dataclass of the schedule's own options (config/option.py), or None.
     begins_dense : whether a training begins at dense points unless the options say otherwise.
-    selection : how growth selects gaussians: "threshold", "highest" or "score" (densify/select.py);
-        or "relocation" (densify/relocate.py), which needs no statistics, and in place of pruning
-        makes dead gaussians copies of others.
+    fills_target : whether a round of growth reaches its target, however few gaussians exceed the
+        threshold; for forecasts.
     observe_every : steps between calls of `observe`.
     latest : values of the last `observe`, which metrics.jsonl records.
     options : with scaled steps; a time budget replaces them between steps, as it moves the end.
@@ -113,7 +113,7 @@ class Schedule:
     parts: ClassVar[frozenset[str]] = frozenset()
     Options: ClassVar[type | None] = None
     begins_dense: ClassVar[bool] = False
-    selection = "threshold"
+    fills_target: ClassVar[bool] = False
     observe_every = 100
     latest: Any = None
 
@@ -195,8 +195,39 @@ class Schedule:
         """
         raise NotImplementedError
 
+    def grow(self, round: Round) -> Growth:
+        """Decide what becomes of each gaussian in a round of growth.
+
+        This is the rule of 3DGS: of the gaussians whose screen gradient reaches the threshold,
+        small ones are cloned and large ones split, those of the highest gradients first if `target`
+        limits the round. Another rule makes another choice and returns `round.densify(choice)`, or
+        `round.relocate(number)`.
+
+        Parameters
+        ----------
+        round : what is measured of the gaussians, and what can be made of them.
+        """
+        room = self.room(round, round.prunes)
+        if room is not None:  # a split replaces a gaussian that is too large by two
+            room -= int((round.prunes & round.above_threshold()).sum())
+        return round.densify(round.above_threshold(room))
+
+    def room(self, round: Round, prunes: NDArray[np.bool_]) -> int | None:
+        """How many gaussians a round may add by `target` and the option `max_gaussians`; None: any
+        number.
+
+        Parameters
+        ----------
+        round : the round.
+        prunes : bool[N], the gaussians that it removes.
+        """
+        counted = ~prunes & ~round.frozen
+        count = int(counted.sum())
+        above = int((counted & round.above_threshold()).sum())
+        return round.room(self.target(round.iteration, count, above), count)
+
     def target(self, iteration: int, count: int, above: int) -> int | None:
-        """Limit a round of growth; called once in each round.
+        """Limit a round of growth; called once in each round, by `room`.
 
         Parameters
         ----------
@@ -210,13 +241,6 @@ class Schedule:
         threshold grow.
         """
         return None
-
-    def spares_half(self, iteration: int) -> bool:
-        """Whether the round of growth after step `iteration` prunes only half of its candidates.
-
-        Called only if `selection` is "score".
-        """
-        return False
 
     def ahead(self, iteration: int) -> list[tuple[float, float]]:
         """Predict the rest of the run after step `iteration`, as [(level, steps), ...].

@@ -14,7 +14,6 @@ GROUP = "clsplat.schedules"  # of entry points: NAME = MODULE:SUBCLASS_OF_SCHEDU
 OURS = {name: EntryPoint(name, f"clsplat.schedule.{name}:{name.title()}", GROUP)
         for name in ("sig", "constant", "dash", "taming", "mcmc")}
 REGISTERED = Group(GROUP, "schedule", "clsplat.Schedule", OURS)
-SELECTIONS = "threshold", "highest", "score", "relocation"
 # of a schedule: what each must be, in words and as a function of the value
 ATTRIBUTES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "levels": ("a tuple of numbers of at least 1", lambda levels: isinstance(levels, (tuple, list))
@@ -22,7 +21,6 @@ ATTRIBUTES: dict[str, tuple[str, Callable[[Any], bool]]] = {
                                         for level in levels)),
     "parts": ("a frozenset of names", lambda parts: isinstance(parts, (set, frozenset))),
     "defaults": ("a dict", lambda defaults: isinstance(defaults, dict)),
-    "selection": (f"one of {', '.join(SELECTIONS)}", lambda name: name in SELECTIONS),
     "observe_every": ("a whole number of at least 1", lambda n: isinstance(n, int) and n > 0)}
 
 

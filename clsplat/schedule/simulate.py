@@ -73,7 +73,7 @@ def largest(segments: Sequence[Segment]) -> int:
 
 
 def _grown(schedule: Schedule, iteration: int, count: int, densified: float) -> int:
-    """Number of gaussians after a round of growth, as in `training.growth.Round`."""
+    """Number of gaussians after a round of growth, as in `Schedule.grow`."""
     above = int(min(densified, MOST_DENSIFIED * count))
     target, limit = schedule.target(iteration, count, above), schedule.options.max_gaussians
     if limit:
@@ -81,4 +81,4 @@ def _grown(schedule: Schedule, iteration: int, count: int, densified: float) -> 
     if target is None:
         return count + above
     room = max(0, target - count)
-    return count + (min(above, room) if schedule.selection == "threshold" else room)
+    return count + (room if schedule.fills_target else min(above, room))

@@ -9,6 +9,7 @@ from clsplat.schedule.plan import STEPS_A_ROUND
 
 if TYPE_CHECKING:
     from clsplat.options import ScheduledOptions
+    from clsplat.schedule.growth import Growth, Round
 
 ROUNDS = 60  # of growth in a run: one every 500 of 30,000 steps
 
@@ -28,7 +29,7 @@ class Taming(Constant):
     defaults = {"reset_every": 3000, "exposure": "off", "prune_size": 0.1}
     parts = frozenset({"taming"})
     Options = TamingOptions
-    selection = "score"
+    fills_target = True
     rounds_sparing = 27  # in the first rounds, half of the gaussians that 3DGS prunes stay
 
     @classmethod
@@ -46,7 +47,11 @@ class Taming(Constant):
         share = min(max(share, 0.0), 1.0)
         return max(count, int(start + (end - start) * (2 * share - share**2)))
 
-    def spares_half(self, iteration: int) -> bool:
-        """See `Schedule.spares_half`."""
-        return (iteration - 1 - self.options.densify_from) // self.options.densify_every \
-            <= self.rounds_sparing
+    def grow(self, round: "Round") -> "Growth":
+        """See `Schedule.grow`; gaussians above the threshold are drawn by their scores."""
+        o, prunes = self.options, round.prunes
+        if (round.iteration - 1 - o.densify_from) // o.densify_every <= self.rounds_sparing:
+            prunes = round.half_of_prunes()
+        room = self.room(round, prunes)
+        assert room is not None  # there is a target
+        return round.densify(round.by_score(room, prunes), prunes)

@@ -28,11 +28,11 @@ from clsplat.rendering.pipeline import Frame
 from clsplat.rendering.project import Gradients
 
 if TYPE_CHECKING:
-    from clsplat.densify.grow import Growth
     from clsplat.io.runs.run import RunFolder
     from clsplat.options import TrainOptions
     from clsplat.scene import Scene, View
     from clsplat.schedule import Plan
+    from clsplat.schedule.growth import Growth
     from clsplat.training.model import Model
     from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session

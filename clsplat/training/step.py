@@ -1,6 +1,6 @@
 """One training step, written as the algorithm reads, and the growth that may follow it."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,10 +14,12 @@ from clsplat.constants import (
     COUNT_SUM_PAIRS,
     COUNT_SUM_VISIBLE,
 )
-from clsplat.densify.grow import Growth
+from clsplat.densify.grow import Candidates
+from clsplat.densify.round import MeasuredRound
+from clsplat.densify.scores import taming_scores
 from clsplat.densify.statistics import Statistics
 from clsplat.device import Array, Graph
-from clsplat.gaussians import LEARNED
+from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.image_loss import is_masked
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.rates import learning_rates
@@ -25,7 +27,7 @@ from clsplat.options import ScheduledOptions
 from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Gradients
 from clsplat.schedule import Plan, Schedule
-from clsplat.training.growth import Round, ScoringViews
+from clsplat.schedule.growth import Growth
 from clsplat.training.model import Model
 from clsplat.training.part import Inputs, Now, Part, TrainingSample, ViewPass
 from clsplat.training.rooms import Rooms
@@ -33,6 +35,7 @@ from clsplat.training.skipped_gradients import SkippedGradients
 from clsplat.training.units import Unit, Units
 
 RESET_OPACITY = 0.01
+ScoringViews = Callable[[], list[ViewPass]]
 Measured = dict[str, Any]  # name of a part -> what its term of the loss measured in a view
 
 
@@ -310,7 +313,7 @@ class Step:
         ----------
         iteration : number of the step, from 1.
         plan : of that step.
-        schedule : decides how many gaussians are added, and how they are selected.
+        schedule : decides what becomes of the gaussians.
         scoring_views : returns some training views, for a schedule that scores gaussians.
 
         Returns
@@ -352,9 +355,13 @@ class Step:
         model.catch_up()
         self.rows_changed()
         frozen = np.zeros(model.count, bool) if self.frozen is None else self.frozen.download() > 0
-        growth = Round(iteration, plan, schedule, self.options, self.extent,
-                       statistics.mean_gradient, frozen).growth(
-                           self.renderer, model.rows, scoring_views)
+        rows = {field.name: model.rows[field.name].download() for field in FIELDS
+                if field.name in model.rows and not field.name.startswith("sh_")}
+        growth = schedule.grow(MeasuredRound(
+            iteration, Candidates(rows, self.extent, self.options, plan.prunes_large), self.options,
+            frozen, statistics.mean_gradient, lambda gradient: taming_scores(
+                self.renderer, model.rows, scoring_views(), plan.degree, self.options.ssim_weight,
+                gradient)))
         self.release()  # or recordings would keep the memory of frames while rows are copied
         model.regrow(growth)
         self.rows_changed(growth)

@@ -44,7 +44,7 @@ def plans():
 
 
 def test_it_is_known_by_name_and_grows_the_highest():
-    assert registry.schedule_of("dash") is Dash and Dash.selection == "highest"
+    assert registry.schedule_of("dash") is Dash and Dash.fills_target
     assert OPTIONS.densify_until == 27000
 
 

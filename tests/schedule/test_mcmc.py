@@ -16,7 +16,7 @@ def schedule_of(facts=FACTS, **given):
 
 
 def test_it_is_known_by_name_and_relocates():
-    assert registry.schedule_of("mcmc") is Mcmc and Mcmc.selection == "relocation"
+    assert registry.schedule_of("mcmc") is Mcmc and Mcmc.fills_target
     assert not TrainOptions().position_noise and Mcmc.levels == (1.0,)
 
 

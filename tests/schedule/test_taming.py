@@ -27,7 +27,7 @@ def targets(schedule, count=0):
 
 
 def test_it_is_known_by_name_and_grows_by_score():
-    assert registry.schedule_of("taming") is Taming and Taming.selection == "score"
+    assert registry.schedule_of("taming") is Taming and Taming.fills_target
 
 
 def test_from_the_start_to_the_budget():

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from clsplat.densify.grow import Growth
 from clsplat.device import Device
 from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
 from clsplat.loss.exposure import Exposures
@@ -11,6 +10,7 @@ from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Plan, SceneFacts
 from clsplat.schedule.constant import Constant
+from clsplat.schedule.growth import Growth
 from clsplat.training.model import Model, model_bytes
 from clsplat.training.part import TrainingSample
 from clsplat.training.parts import image_term

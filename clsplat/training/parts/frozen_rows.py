@@ -13,7 +13,7 @@ from clsplat.partition.blocks import trainable
 from clsplat.training.part import Part, State
 
 if TYPE_CHECKING:
-    from clsplat.densify.grow import Growth
+    from clsplat.schedule.growth import Growth
     from clsplat.training.model import Model
     from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
