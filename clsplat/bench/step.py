@@ -32,8 +32,8 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions, resolve
 from clsplat.scene import Scene
 from clsplat.training.photos import Photos
-from clsplat.training.prepare import PreparedScene, prepare
 from clsplat.training.session import Session
+from clsplat.training.start.prepare import PreparedScene, prepare
 
 from .measure import Bench
 from .timing import milliseconds

@@ -34,9 +34,9 @@ from clsplat.partition.windows import find_windows, owned_shares
 from clsplat.report.map import write_map
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
-from clsplat.training.facts import scene_facts, smallest_size
 from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import THREADS
+from clsplat.training.start.facts import scene_facts, smallest_size
 
 REQUESTED = "asked"  # key of partition.json for the PartitionOptions
 JOINT = "joint"  # key of partition.json for the options of the joint training, where there is one

@@ -24,10 +24,10 @@ from clsplat.io.photos.undistort import undistorted
 from clsplat.io.runs.city import CityFolder
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
-from clsplat.training.dense_start import first_gaussians
 from clsplat.training.photos import THREADS
-from clsplat.training.prepare import prepare
 from clsplat.training.progress import SilentProgress
+from clsplat.training.start.dense_start import first_gaussians
+from clsplat.training.start.prepare import prepare
 
 FOLDER = "start"  # of the job's log, in the city's folder meanwhile
 

@@ -32,8 +32,8 @@ from clsplat.schedule.simulate import Segment
 from clsplat.training.layers import layer_array
 from clsplat.training.model import ENGINES, Model
 from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
-from clsplat.training.prepare import PreparedScene
 from clsplat.training.progress import SilentProgress
+from clsplat.training.start.prepare import PreparedScene
 
 TIMED_VIEWS = 8  # for steps in turn
 COUNTED_VIEWS = 48  # of which that with most splats decides the memory of a frame

@@ -19,13 +19,13 @@ from clsplat.options import ScheduledOptions, TrainOptions, seconds_of
 from clsplat.scene import Scene
 from clsplat.schedule import laid_over
 from clsplat.schedule.simulate import Segment, largest, simulate
-from clsplat.training.dense_start import start_seconds
-from clsplat.training.initialise import initial_gaussians
 from clsplat.training.part import Decision
 from clsplat.training.photo_store import MEMORY_BYTES
 from clsplat.training.photos import DEVICE_SHARE, reading_bytes
-from clsplat.training.prepare import prepare
 from clsplat.training.progress import SilentProgress
+from clsplat.training.start.dense_start import start_seconds
+from clsplat.training.start.initialise import initial_gaussians
+from clsplat.training.start.prepare import prepare
 
 MIB = 2**20
 

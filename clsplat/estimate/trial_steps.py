@@ -16,8 +16,8 @@ from clsplat.schedule import Plan
 from clsplat.training.layers import Layers
 from clsplat.training.parts.backdrop import Backdrop
 from clsplat.training.photos import Photos, at_level, decode
-from clsplat.training.prepare import PreparedScene
 from clsplat.training.session import Session
+from clsplat.training.start.prepare import PreparedScene
 
 PAIRS_A_SPLAT, PAIRS_A_TILE = 1.62, 114
 LOG_SIZE, HALVINGS = 2.0, 6  # search range +-LOG_SIZE of the log size, and its number of halvings

@@ -30,7 +30,6 @@ from clsplat.schedule import Plan
 from clsplat.training.checkpoint import Checkpoint, Saved, saved_gaussians
 from clsplat.training.clock import Clock
 from clsplat.training.deadline import Deadline
-from clsplat.training.decisions import is_part_of_city
 from clsplat.training.evaluator import Evaluator
 from clsplat.training.finish import draw_report, save_model, save_snapshot
 from clsplat.training.frequency import scene_frequency
@@ -39,8 +38,9 @@ from clsplat.training.part import Part, TrainingSample
 from clsplat.training.photos import THREADS, epoch_order, size_note
 from clsplat.training.progress import WARNING, SilentProgress, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Recorder, broken
-from clsplat.training.scene_checks import find_warnings
 from clsplat.training.session import Session
+from clsplat.training.start.decisions import is_part_of_city
+from clsplat.training.start.scene_checks import find_warnings
 from clsplat.training.step import Measured
 from clsplat.training.watcher import Watcher
 
@@ -192,7 +192,7 @@ class Training:
         scene, options : as they were given.
         """
         session = self.session
-        warnings = find_warnings(session.scene, session.train_views,
+        warnings = find_warnings(session.scene, session.prepared.thumbnails,
                                  session.model.rows["opacity_logits"].download())
         self.run.write_options({**run_record(scene, options, session.device),
                                 "decisions": session.decisions.values})

@@ -15,7 +15,7 @@ inputs (device/graph.py), so what differs between steps must be one of the part'
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     from clsplat.schedule import Plan
     from clsplat.schedule.growth import Growth
     from clsplat.training.model import Model
-    from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
+    from clsplat.training.start.prepare import PreparedScene
+    from clsplat.training.start.thumbnails import Thumbnails
 
 Inputs = Mapping[str, Any]  # of a part, in one view of one step
 State = Mapping[str, NDArray[Any]]
@@ -72,13 +73,13 @@ class Survey(NamedTuple):
     scene : the scene at the size of training.
     views : its training views.
     options : the options as the user gave them.
-    small_photos : returns some of the views with small photos, and these photos.
+    thumbnails : small photos of the views.
     """
 
     scene: Scene
     views: Sequence[View]
     options: TrainOptions
-    small_photos: Callable[[], tuple[tuple[View, ...], Iterator[NDArray[Any]]]]
+    thumbnails: Thumbnails
 
 
 class Now(NamedTuple):

@@ -20,14 +20,14 @@ from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene, View
 from clsplat.schedule import Plan, Schedule, laid_over
 from clsplat.schedule.plan import size_at
-from clsplat.training.dense_start import first_gaussians
 from clsplat.training.model import Model
 from clsplat.training.part import Part, TrainingSample, ViewPass, overriding
 from clsplat.training.parts import parts_of
 from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.photos import Photos, decoded
-from clsplat.training.prepare import PreparedScene, prepare
 from clsplat.training.progress import SilentProgress
+from clsplat.training.start.dense_start import first_gaussians
+from clsplat.training.start.prepare import PreparedScene, prepare
 from clsplat.training.step import Step
 from clsplat.training.units import MOST_PENDING
 

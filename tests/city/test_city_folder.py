@@ -26,7 +26,7 @@ from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.region import Region, Space
 from clsplat.response import Response
-from clsplat.training.initialise import surrounding_gaussians
+from clsplat.training.start.initialise import surrounding_gaussians
 from tests.data.tiny_training import CITY
 
 VIEWS = [3, 9, 8, 11]  # in no order

@@ -27,9 +27,9 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
-from clsplat.training.decisions import is_part_of_city
 from clsplat.training.interrupt import handled_interrupts
 from clsplat.training.loop import train
+from clsplat.training.start.decisions import is_part_of_city
 from tests.city.test_city import DEVICE, city, command, model
 from tests.city.test_merge import strewn
 from tests.data.tiny_training import CITY

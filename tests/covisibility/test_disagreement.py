@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from clsplat.covisibility.disagreement import colour_disagreement
-from clsplat.training import facts
+from clsplat.training.start import facts, thumbnails
+from clsplat.training.start.thumbnails import Thumbnails
 from tests.covisibility.test_source_views import circle
 
 SIDE = 512
@@ -69,30 +70,39 @@ def test_where_nothing_is_known(scene):
     assert np.isnan(found(scene, masked))
 
 
-def test_photos_are_sampled_in_runs_that_show_the_same_places(monkeypatch):
+@pytest.fixture
+def read(monkeypatch):
+    """The names of the photos that were read; there are none."""
+    names = []
+    monkeypatch.setattr(thumbnails, "decoded", lambda views: [
+        names.append(view.name) or view.name for view in views])
+    return names
+
+
+def test_photos_are_sampled_in_runs_that_show_the_same_places(monkeypatch, read):
     chosen = []
     monkeypatch.setattr(facts, "colour_disagreement",
                         lambda scene, views, photos: chosen.extend(views) or 0.01)
     many = circle(*range(100), names=[f"{number:03d}" for number in range(100)])
-    assert facts._disagreement(many, many.views) == 0.01
+    assert facts._disagreement(many, Thumbnails(many.views)) == 0.01
     numbers = np.array([int(view.name) for view in chosen])
     assert len(numbers) == 48 == len(set(numbers)) and {numbers[0], numbers[-1]} == {0, 99}
     assert (np.diff(numbers) == 1).sum() == 44
     chosen.clear()
-    facts._disagreement(many, many.views[:48])
+    facts._disagreement(many, Thumbnails(many.views[:48]))
     assert [view.name for view in chosen] == [view.name for view in many.views[:48]]
 
 
-def test_the_photos_of_a_scene_are_compared_once(monkeypatch):
+def test_the_photos_of_a_scene_are_compared_and_read_once(monkeypatch, read):
     asked = []
     monkeypatch.setattr(facts, "colour_disagreement",
-                        lambda scene, views, photos: asked.append(len(views)) or 0.01)
-    scene, same = circle(0, 5, 10, 15), circle(0, 5, 10, 15)
-    for views in (scene.views, list(scene.views), scene.views[:2]):
-        for _ in range(2):
-            assert facts.scene_facts(scene, views).disagreement() == 0.01
-    facts.scene_facts(same, same.views).disagreement()
-    assert asked == [4, 2, 4]
+                        lambda scene, views, photos: asked.append(list(photos)) or 0.01)
+    scene = circle(0, 5, 10, 15)
+    names, small = [view.name for view in scene.views], Thumbnails(scene.views)
+    found = facts.scene_facts(scene, scene.views, small)
+    assert list(small.sampled(2)[1]) == names[::2] == read
+    assert found.disagreement() == found.disagreement() == 0.01
+    assert asked == [names] and sorted(read) == sorted(names)
 
 
 def test_how_many_photos_show_a_point():

@@ -36,8 +36,8 @@ from clsplat.scene import View
 from clsplat.schedule import OURS, SceneFacts, scaled_steps, schedule_of
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.training.photos import Photos, size_note
-from clsplat.training.prepare import prepare
 from clsplat.training.session import Session
+from clsplat.training.start.prepare import prepare
 from tests.data.tiny_training import CITY, options_of, records, trained
 
 

@@ -11,7 +11,7 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.loss.exposure import Exposures
 from clsplat.training import loop
 from clsplat.training.frequency import AXES, VARIANTS
-from clsplat.training.initialise import initial_gaussians
+from clsplat.training.start.initialise import initial_gaussians
 from clsplat.training.step import Step
 from tests.data.tiny_training import (
     CITY,

@@ -17,17 +17,17 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.schedule import planned_steps, scaled_steps
 from clsplat.schedule.sig_limits import AGREEING, ENOUGH, FEWEST
-from clsplat.training import decisions, facts
-from clsplat.training.decisions import (
-    SAMPLED_PHOTOS,
+from clsplat.training.parts import exposures, reprojection
+from clsplat.training.parts.exposures import SAMPLED_PHOTOS
+from clsplat.training.start import facts, thumbnails
+from clsplat.training.start.decisions import (
     SHINE,
-    SMALL_SIDE,
     VISIBLE,
     find_decisions,
     needed_degree,
 )
-from clsplat.training.facts import smallest_size
-from clsplat.training.parts import exposures, reprojection
+from clsplat.training.start.facts import smallest_size
+from clsplat.training.start.thumbnails import SMALL_SIDE
 from tests.covisibility.test_source_views import circle
 from tests.data.tiny_training import CITY
 
@@ -122,8 +122,8 @@ def test_exposures_are_learned_where_photos_drift(city, drift, measured, answer)
 
 def test_the_city_does_not_drift_until_its_photos_are_darkened(city, monkeypatch):
     assert found(city).options.exposure == "off"
-    read = decisions.decoded
-    monkeypatch.setattr(decisions, "decoded", lambda views: (
+    read = thumbnails.decoded
+    monkeypatch.setattr(thumbnails, "decoded", lambda views: (
         (photo * (0.6 if i % 2 else 1)).astype(np.uint8) for i, photo in enumerate(read(views))))
     assert found(city).options.exposure == "on"
 

@@ -11,7 +11,8 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.stereo.dense_points import stereo_views
 from clsplat.training import session
-from clsplat.training.dense_start import (
+from clsplat.training.progress import SilentProgress
+from clsplat.training.start.dense_start import (
     LEAST_SECONDS,
     LEAST_STEPS,
     chosen_start,
@@ -19,8 +20,7 @@ from clsplat.training.dense_start import (
     planned_count,
     start_seconds,
 )
-from clsplat.training.prepare import prepare
-from clsplat.training.progress import SilentProgress
+from clsplat.training.start.prepare import prepare
 from tests.data.tiny_training import CITY, records, resumed, trained
 
 

@@ -9,7 +9,7 @@ from clsplat.gaussians import FIELDS, LEARNED, Gaussians
 from clsplat.io.models.ply import write_ply
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
-from clsplat.training.initialise import initial_gaussians
+from clsplat.training.start.initialise import initial_gaussians
 
 COUNT = 500
 

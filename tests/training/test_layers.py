@@ -18,7 +18,7 @@ from clsplat.rendering.slabs import open_model
 from clsplat.training import layers, loop
 from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import Photos
-from clsplat.training.prepare import prepare
+from clsplat.training.start.prepare import prepare
 from tests.city.test_block import region_of
 from tests.data.tiny_training import CITY, STILL, model_digest, options_of, resumed, trained
 from tests.training.test_launches import of_a_replay

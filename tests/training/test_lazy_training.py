@@ -8,9 +8,9 @@ from clsplat.gaussians import LEARNED
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.optimise.adam import DeviceAdam
-from clsplat.training.initialise import initial_gaussians
 from clsplat.training.loop import Training
-from clsplat.training.prepare import prepare
+from clsplat.training.start.initialise import initial_gaussians
+from clsplat.training.start.prepare import prepare
 from tests.data.tiny_training import CITY, STILL, options_of
 
 

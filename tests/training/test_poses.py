@@ -20,7 +20,7 @@ from clsplat.placement.corrections import (
     typical_depth,
     without_common_motion,
 )
-from clsplat.training.prepare import prepare
+from clsplat.training.start.prepare import prepare
 from tests.data.tiny_training import CITY, STILL, options_of, trained
 
 FOCAL = 69.3  # pixels, of the city at a quarter of its size

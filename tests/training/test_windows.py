@@ -22,7 +22,7 @@ from clsplat.partition.region import Region, Space
 from clsplat.partition.windows import find_windows
 from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View
-from clsplat.training.prepare import prepare
+from clsplat.training.start.prepare import prepare
 from tests import cases
 from tests.data.tiny_training import CITY
 from tests.kernels.chain import (

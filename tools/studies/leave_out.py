@@ -31,8 +31,8 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.report.page import Table
 from clsplat.training.photos import Photos
-from clsplat.training.prepare import prepare
 from clsplat.training.session import Session
+from clsplat.training.start.prepare import prepare
 from tools.studies.study import Scene, keep, keeps, markdown, outermost
 
 ON, OFF = "everything on", "everything off"

@@ -21,7 +21,7 @@ from clsplat.training.parts.reprojection import Reprojection
 from clsplat.training.parts.sample_weights import SampleWeights
 
 if TYPE_CHECKING:
-    from clsplat.training.prepare import PreparedScene
+    from clsplat.training.start.prepare import PreparedScene
 
 PARTS: tuple[type[Part], ...] = (
     CameraPoses, PhotoResponses, Backdrop, ImageTerm, Reprojection, DepthMaps, Regularisers,

@@ -10,8 +10,8 @@ from clsplat.training.layers import Layers
 from clsplat.training.part import Inputs, Now, Part, TrainingSample, ViewPass
 
 if TYPE_CHECKING:
-    from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
+    from clsplat.training.start.prepare import PreparedScene
 
 
 class Backdrop(Part):

@@ -17,8 +17,8 @@ from clsplat.scene import View
 from clsplat.training.part import Inputs, Now, Part, TrainingSample, ViewPass
 
 if TYPE_CHECKING:
-    from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
+    from clsplat.training.start.prepare import PreparedScene
 
 DEVICE_SHARE = 0.125  # of the device's memory that depth maps may take
 

@@ -19,8 +19,10 @@ from clsplat.training.part import Decision, Inputs, Part, State, Survey, ViewPas
 if TYPE_CHECKING:
     from clsplat.io.runs.run import RunFolder
     from clsplat.scene import Scene, View
-    from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
+    from clsplat.training.start.prepare import PreparedScene
+
+SAMPLED_PHOTOS = 64  # whose brightness is compared
 
 
 class PhotoResponses(Part):
@@ -113,7 +115,7 @@ def lenses_of(scene: Scene, views: Sequence[View], options: ExposureOptions) -> 
 def _exposure(survey: Survey) -> Decision:
     if survey.options.exposure != AUTO:
         return requested(survey.options.exposure)
-    small, photos = survey.small_photos()
+    small, photos = survey.thumbnails.sampled(SAMPLED_PHOTOS)
     drift = exposure_drift(small, photos, survey.scene.points, survey.scene.colours)
     value = "on" if drift >= DRIFTS else "off"
     return Decision(value, f"{value}: the brightness of {len(small)} photos varies by "
@@ -129,7 +131,7 @@ def _vignetting(survey: Survey, exposure: Decision) -> Decision:
         return Decision("off", "off: exposures are not learned")
     if asked != AUTO:
         return requested(asked) if asked == "on" else Decision("off", "off: not requested")
-    small, photos = survey.small_photos()
+    small, photos = survey.thumbnails.sampled(SAMPLED_PHOTOS)
     darker = corner_darkening(small, photos, survey.scene.points)
     value = "on" if darker >= DARKENS else "off"
     return Decision(value, f"{value}: the corners of {len(small)} photos are {100 * darker:.1f} % "

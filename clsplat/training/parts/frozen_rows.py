@@ -15,8 +15,8 @@ from clsplat.training.part import Part, State
 if TYPE_CHECKING:
     from clsplat.schedule.growth import Growth
     from clsplat.training.model import Model
-    from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
+    from clsplat.training.start.prepare import PreparedScene
 
 Trains = Callable[..., NDArray[np.bool_]]
 

@@ -28,8 +28,8 @@ from clsplat.training.part import Decision, Part, State, Survey
 if TYPE_CHECKING:
     from clsplat.schedule import Plan
     from clsplat.training.photos import Photos
-    from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
+    from clsplat.training.start.prepare import PreparedScene
 
 CELL = 4  # pixels: the width of a cell, over which signed differences are averaged
 FACTOR = 6.0  # of the residual in other photos, above which a cell is an outlier

@@ -25,8 +25,8 @@ from clsplat.training.part import (
 if TYPE_CHECKING:
     from clsplat.io.runs.run import RunFolder
     from clsplat.scene import View
-    from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
+    from clsplat.training.start.prepare import PreparedScene
 
 
 class CameraPoses(Part):

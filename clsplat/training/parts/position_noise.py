@@ -8,8 +8,8 @@ from clsplat.optimise.noise import add_noise
 from clsplat.training.part import Inputs, Now, Part, TrainingSample, ViewPass
 
 if TYPE_CHECKING:
-    from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
+    from clsplat.training.start.prepare import PreparedScene
 
 
 class PositionNoise(Part):

@@ -9,8 +9,8 @@ from clsplat.loss.regularise import regularise
 from clsplat.training.part import Inputs, Part, ViewPass
 
 if TYPE_CHECKING:
-    from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
+    from clsplat.training.start.prepare import PreparedScene
 
 
 class Regularisers(Part):

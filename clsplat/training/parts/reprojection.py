@@ -29,8 +29,8 @@ from clsplat.training.parts.exposures import PhotoResponses
 if TYPE_CHECKING:
     from clsplat.schedule import Plan
     from clsplat.training.photos import Photos
-    from clsplat.training.prepare import PreparedScene
     from clsplat.training.session import Session
+    from clsplat.training.start.prepare import PreparedScene
 
 
 class SourceViews:

@@ -12,7 +12,7 @@ from clsplat.scene import View
 from clsplat.training.part import Part
 
 if TYPE_CHECKING:
-    from clsplat.training.prepare import PreparedScene
+    from clsplat.training.start.prepare import PreparedScene
 
 
 class SampleWeights(Part):

@@ -10,8 +10,9 @@ from clsplat.errors import InputError
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.training import step
 from clsplat.training.frequency import scene_frequency
-from clsplat.training.initialise import initial_gaussians
-from clsplat.training.scene_checks import find_warnings
+from clsplat.training.start.initialise import initial_gaussians
+from clsplat.training.start.scene_checks import find_warnings
+from clsplat.training.start.thumbnails import Thumbnails
 from tests.adversarial.extreme import stiff
 from tests.adversarial.extreme.stiff import CASES, rescaled
 from tests.data.tiny_training import LEVELLED, options_of, records, trained
@@ -68,7 +69,7 @@ def test_what_cannot_be_good_is_said(city, tmp_path, name):
     scene, options = prepared(city, case, "constant", tmp_path)
     options = options_of(**options)
     scene = scene.reduced(options.downscale)
-    said = find_warnings(scene, scene.split(options.test_every)[0],
+    said = find_warnings(scene, Thumbnails(scene.split(options.test_every)[0]),
                          initial_gaussians(scene, options).opacity_logits)
     assert len(said) == len(case.warns), said
     for text, part in zip(said, case.warns):

@@ -12,10 +12,9 @@ from clsplat.camera import Camera
 from clsplat.constants import ALPHA_STEPS
 from clsplat.covisibility.exposure_drift import LUMA
 from clsplat.scene import LEAST_PARALLAX, Scene, View
-from clsplat.training.photos import at_level, decoded
+from clsplat.training.start.thumbnails import Thumbnails
 
 SAMPLED_PHOTOS = 16
-SMALL_SIDE = 256  # pixels; longer side of a sampled photo
 SAMPLED_POINTS = 10_000
 CELLS = 8  # across a photo, to measure how much of it the points cover
 FEW_PHOTOS, FEW_POINTS = 10, 100
@@ -25,21 +24,21 @@ LEAST_SMOOTHNESS = 0.2  # correlation of neighbouring pixels: 0.65 to 0.98 in th
 FAINTEST = -np.log(ALPHA_STEPS - 1.0)  # logit of 1 / ALPHA_STEPS: nothing fainter is drawn
 
 
-def find_warnings(scene: Scene, views: Sequence[View],
-                  opacity_logits: NDArray[np.floating]) -> list[str]:
+def find_warnings(scene: Scene, thumbnails: Thumbnails, opacity_logits: NDArray[np.floating]
+                  ) -> list[str]:
     """Find problems that will spoil a training, one sentence each.
 
     Parameters
     ----------
-    scene : at the size of training.
-    views : training views; some of their photos are read.
-    opacity_logits : [N]; of the initial gaussians.
+    scene : the scene at the size of training.
+    thumbnails : of its training views.
+    opacity_logits : [N], of the initial gaussians.
     """
-    chosen = views[::-(-len(views) // SAMPLED_PHOTOS)]
+    chosen, photos = thumbnails.sampled(SAMPLED_PHOTOS)
     # the coarse run of a city gives the notes once, for all blocks
-    problems = (scene.notes if scene.region is None else (), _few(len(views), len(opacity_logits)),
-                _faint(opacity_logits), _parallax(scene), _cover(scene.points, chosen),
-                _photos(chosen))
+    problems = (scene.notes if scene.region is None else (),
+                _few(len(thumbnails.views), len(opacity_logits)), _faint(opacity_logits),
+                _parallax(scene), _cover(scene.points, chosen), _photos(chosen, list(photos)))
     return [text for texts in problems for text in texts]
 
 
@@ -81,11 +80,9 @@ def _covered(camera: Camera, points: NDArray[np.floating]) -> float:
     return len(np.unique(cells @ (CELLS, 1))) / CELLS**2
 
 
-def _photos(views: Sequence[View]) -> Iterator[str]:
+def _photos(views: Sequence[View], colours: Sequence[NDArray[np.uint8]]) -> Iterator[str]:
     """Photos that are uniform, all the same, or noise."""
-    side = max(max(view.camera.width, view.camera.height) for view in views)
-    photos = [np.tensordot(LUMA, photo[:3], 1)
-              for photo in decoded(at_level(views, max(1.0, side / SMALL_SIDE)))]
+    photos = [np.tensordot(LUMA, photo[:3], 1) for photo in colours]
     plain = [view.name for view, photo in zip(views, photos) if photo.std() < LEAST_CONTRAST]
     if plain:
         yield (f"{len(plain)} of {len(views)} sampled photos are of one colour, such as "

@@ -18,12 +18,12 @@ from clsplat.options import TrainOptions, seconds_of
 from clsplat.scene import Scene, View
 from clsplat.schedule import schedule_of
 from clsplat.stereo.dense_points import SIDE, dense_points, sweep_seconds
-from clsplat.training.initialise import initial_gaussians
 from clsplat.training.photos import decoded, with_side
 from clsplat.training.progress import SilentProgress
+from clsplat.training.start.initialise import initial_gaussians
 
 if TYPE_CHECKING:
-    from clsplat.training.prepare import PreparedScene
+    from clsplat.training.start.prepare import PreparedScene
 
 OF_THE_LIMIT = 0.8  # of the gaussians that the training may end with; growth places the rest
 PIXELS_A_POINT = 40  # of the training photos, where the schedule has no limit

@@ -13,8 +13,9 @@ from clsplat.options import ScheduledOptions, TrainOptions
 from clsplat.partition.blocks import trainable
 from clsplat.scene import Scene, View
 from clsplat.schedule import Schedule, schedule_of
-from clsplat.training.decisions import Decisions, find_decisions
-from clsplat.training.initialise import surrounding_gaussians
+from clsplat.training.start.decisions import Decisions, find_decisions
+from clsplat.training.start.initialise import surrounding_gaussians
+from clsplat.training.start.thumbnails import Thumbnails
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +27,15 @@ class PreparedScene:
     scene : with photos at the size of training; its unit is its extent, so that steps do not depend
         on the unit of the coordinates.
     train_views, test_views : the training views and the held-out views.
-    decisions : decisions about optional parts.
+    decisions : all that was decided.
+    thumbnails : small photos of the training views.
     """
 
     scene: Scene
     train_views: tuple[View, ...]
     test_views: tuple[View, ...]
     decisions: Decisions
+    thumbnails: Thumbnails
 
     @property
     def options(self) -> TrainOptions:
@@ -86,5 +89,6 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -
     if options.test_offset and not test_views:
         raise InputError(f"{scene.name}: --test-offset {options.test_offset} holds out none of its "
                          f"{len(scene.views)} views; use a smaller number")
-    return PreparedScene(scene, train_views, test_views,
-                         find_decisions(scene, train_views, options, device))
+    thumbnails = Thumbnails(train_views)
+    return PreparedScene(scene, train_views, test_views, find_decisions(
+        scene, train_views, options, device, thumbnails), thumbnails)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsplat.config.option import AUTO, MOST_STEPS, is_auto
 from clsplat.covisibility.source_views import ViewSpread, view_spread
@@ -26,16 +25,14 @@ from clsplat.schedule import (
 )
 from clsplat.schedule.simulate import largest, simulate
 from clsplat.stereo.dense_points import stereo_views
-from clsplat.training.dense_start import chosen_start, planned_count
-from clsplat.training.facts import scene_facts
-from clsplat.training.initialise import planned_initial
 from clsplat.training.model import DEVICE_SHARE, model_bytes
 from clsplat.training.part import Decision, Survey, requested
 from clsplat.training.parts import PARTS, registered_part
-from clsplat.training.photos import decoded, with_side
+from clsplat.training.start.dense_start import chosen_start, planned_count
+from clsplat.training.start.facts import scene_facts
+from clsplat.training.start.initialise import planned_initial
+from clsplat.training.start.thumbnails import Thumbnails
 
-SAMPLED_PHOTOS = 64
-SMALL_SIDE = 256  # pixels; brightness needs no more
 HIGHEST_DEGREE = 3
 SHINE = 0.1  # amplitude of view-dependent colour, as a share of full brightness
 VISIBLE = 1 / 255  # of full brightness: a step of 8 bits
@@ -73,21 +70,24 @@ class Decisions:
 
 
 def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
-                   device: Device | None = None) -> Decisions:
+                   device: Device | None = None, thumbnails: Thumbnails | None = None
+                   ) -> Decisions:
     """Decide about all that is optional; InputError where an option cannot be met.
 
     Parameters
     ----------
-    scene : at the size of training.
-    views : the training views of the scene.
-    options : as the user gave them.
-    device : of the training; None leaves the choice of the Adam engine to `model.Model`, which
-        knows the initial gaussians only.
+    scene : the scene at the size of training.
+    views : its training views.
+    options : the options as the user gave them.
+    device : where it trains; None leaves the choice of the Adam engine to `model.Model`, by the
+        number of initial gaussians.
+    thumbnails : small photos of the views.
     """
-    facts, schedule = scene_facts(scene, views), schedule_of(options.schedule)
+    thumbnails = thumbnails or Thumbnails(views)
+    facts, schedule = scene_facts(scene, views, thumbnails), schedule_of(options.schedule)
     length, most = _steps(scene, len(views), options, facts)
     options = scaled_steps(dataclasses.replace(options, iterations=length.value))
-    survey = Survey(scene, views, options, functools.partial(_small_photos, views))
+    survey = Survey(scene, views, options, thumbnails)
     of_parts = {name: decision for part in (*PARTS, *map(registered_part, options.add_parts))
                 for name, decision in part.decide(survey).items()}
     spread = view_spread(scene, scene.views)  # held-out views must be served, too
@@ -169,13 +169,6 @@ def _antialiased(spread: ViewSpread, options: RenderingOptions) -> Decision:
             f"{np.quantile(ratios, 0.9):.1f}" if len(ratios) else "")
     return Decision(value, f"{value}: {'' if options.antialiased else 'not '}requested{seen}",
                     requested=options.antialiased)
-
-
-def _small_photos(views: Sequence[View]
-                  ) -> tuple[tuple[View, ...], Iterator[NDArray[np.uint8]]]:
-    """`Survey.small_photos`."""
-    small = with_side(views[::-(-len(views) // SAMPLED_PHOTOS)], SMALL_SIDE)
-    return small, decoded(small)
 
 
 def _engine(facts: SceneFacts, options: ScheduledOptions, device: Device) -> Decision:

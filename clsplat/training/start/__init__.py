@@ -1,0 +1,1 @@
+"""What is decided and found before the first step of a training."""
