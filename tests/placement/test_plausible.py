@@ -38,8 +38,8 @@ def test_no_mistake_is_believed_often(mistake):
 
 
 def test_a_line_within_its_noise_is_a_line():
-    """Four mirrored positions, 3.3 m across, with residuals of 1.9 m."""
-    assert "lie on one line" in outcome("north mirrored", 42).said
+    """Mirrored positions that are nearly as far from a line as their residuals."""
+    assert "lie on one line" in outcome("east mirrored", 6).said
 
 
 def grid(columns=6, rows=4, seed=0):
