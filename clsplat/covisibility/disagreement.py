@@ -30,7 +30,7 @@ def colour_disagreement(scene: Scene, views: Sequence[View], photos: Iterable[ND
 
     Parameters
     ----------
-    scene : with sparse points, and the observations that tell which view sees which of them.
+    scene : with sparse points, and the observations of them in views.
     views : of the scene, such as one part of `scene.split`.
     photos : for each view uint8[3, h, w], of any size, or uint8[4, h, w] with a mask.
 

@@ -1,4 +1,4 @@
-"""Reading and writing files: the only code that knows names and formats on disk.
+"""Reading and writing files: the only code with names and formats on disk.
 
 Everything that is read comes from outside and is checked here: data that passes is finite, complete
 and of the right shape, and other data raises `InputError` with one line that names the file, the

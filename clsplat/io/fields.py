@@ -1,4 +1,4 @@
-"""Values of JSON, XML and CSV that other programs wrote; ValueError says what is wrong with one."""
+"""Values of JSON, XML and CSV that other programs wrote; ValueError names the fault of one."""
 
 import re
 from collections.abc import Iterator

@@ -32,7 +32,7 @@ def read_npz(path: Path, complaint: str, cure: str,
     Parameters
     ----------
     complaint, cure : of the message for a damaged file, "PATH: COMPLAINT (the reason); CURE".
-    wanted : tells by its name whether an array is read.
+    wanted : called with the name of an array, returns whether it is read.
     rows : ascending indices of those rows that are kept of every array; None: all.
     """
     try:

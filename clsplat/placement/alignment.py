@@ -5,7 +5,7 @@ are grossly wrong. Heights may drift by tens of metres during a flight, may be a
 missing. So horizontal and vertical residuals are judged apart: each kind has a standard deviation
 that is estimated with the similarity (iteratively reweighted least squares, Cauchy's weights).
 Errors of heights change slowly during a flight, so that all heights together count as few
-measurements. What they do not tell about the tilt of the scene, the direction tells that the
+measurements. What they leave open of the tilt of the scene, follows from the direction that the
 cameras and points show as up. Thus good heights level the scene, and bad ones neither tilt nor
 scale it.
 """
@@ -47,7 +47,7 @@ class Alignment:
     used_heights : bool[N], which heights agree with it.
     horizontal, vertical : metres, RMS of the residuals of the positions and heights that are used,
         along the ground and upwards; vertical is nan without heights.
-    levelled_by_heights : whether the heights tell more of the scene's tilt than the cameras do.
+    levelled_by_heights : whether the heights determine the scene's tilt better than the cameras.
     stands : whether it is neither upside down nor tilted far from the vertical that is known.
     size : metres, the diagonal along the ground of the positions that are used.
     """
@@ -219,7 +219,7 @@ class _Problem:
         columns[:, :, 0] = away
         columns[:, :, 4:] = np.eye(3)
         columns[:, 0, 3], columns[:, 1, 3] = -y, x
-        # Only heights tell the tilt. It also shortens the ground, but by its cosine: the slightest
+        # Only heights show the tilt. It also shortens the ground, but by its cosine: the slightest
         # bending of the reconstruction would look like a large tilt.
         columns[:, 2, 1], columns[:, 2, 2] = y, -x
         errors = np.column_stack([horizontal, vertical])
@@ -274,7 +274,7 @@ class _Problem:
         weights = self._weights(similarity, horizontal, vertical)
         away = similarity(self.places)
         level = away[:, :2] - away[used, :2].mean(axis=0)
-        # how well the heights tell the tilt, about the axis about which they tell it worst
+        # how well the heights determine the tilt, about the axis about which it is worst
         information = np.linalg.eigvalsh((level * weights[:, 2:]).T @ level)[0]
         return Alignment(
             similarity, used, heights, _rms(ground[used]), _rms(vertical[used & heights]),

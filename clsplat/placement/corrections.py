@@ -77,7 +77,7 @@ def without_common_motion(given: Sequence[Camera], corrections: Sequence[Correct
     """Corrections after the mean rigid motion of all cameras is taken out of them.
 
     A world in which the gaussians and all cameras have moved alike gives the same photos. So no
-    photo tells that motion, but held-out views, blocks and maps would be displaced by it. It is the
+    photo shows that motion, but held-out views, blocks and maps would be displaced by it. It is the
     one that explains the corrections best by least squares, where a turn counts as much as the
     shift that it makes at a distance `depth`, and to first order in the corrections.
 

@@ -16,7 +16,7 @@ UNDETERMINED = 0.3  # ratio of spreads beyond which a direction is not known
 MOST_TILT = 30.0  # degrees between up in a result and a direction that is known to be up
 CLEAR = 0.25  # cosine: the mean top of photos that shows which end of an axis is up
 CAMERA_DEGREES, GIMBAL_DEGREES = 3.0, 1.0  # standard deviations of up by cameras, and measured
-GIMBAL_SPREAD = 5.0  # degrees, median; gimbals that differ by more say nothing
+GIMBAL_SPREAD = 5.0  # degrees, median; gimbals that differ by more show nothing
 
 
 @dataclass(frozen=True, eq=False)

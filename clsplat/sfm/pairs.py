@@ -23,7 +23,7 @@ from clsplat.sfm.progress import Progress
 METHODS = ("auto", "gps", "sequence", "all")
 FEW_PHOTOS = 20  # so few are matched all with all: hardly more than with SIMILAR of them
 LEAST_WITH_GPS = 0.9  # of the photos
-LEAST_REACH = 10.0  # metres, the error of GPS: nearer positions do not tell neighbours
+LEAST_REACH = 10.0  # metres, the error of GPS: nearer positions do not show neighbours
 NEIGHBOURS = 16  # nearest positions with which a photo is matched
 BEFORE_AND_AFTER = 3  # photos by name with which a photo is matched
 SEQUENCE = 10  # the same in a sequence of photos or frames

@@ -66,7 +66,7 @@ class SfmOptions:
     crs : coordinate reference system of the scene; "": the UTM zone.
     control_points : a file of ground control points, to which cameras and points are adjusted, or
         None.
-    check_points : names of those that take no part and tell the error.
+    check_points : names of those that take no part and show the error.
     """
 
     masks: Path | None = None
@@ -296,7 +296,7 @@ def _mapped(unfinished: Unfinished, photos: Sequence[SourcePhoto], refused: dict
         progress.message(f"matching {pairs.reason}")
         with times.of("matching"):
             match_pairs(database, pairs, progress)
-    except RuntimeError as error:  # of SQLite in pycolmap, which does not say more
+    except RuntimeError as error:  # of SQLite in pycolmap, which gives no other reason
         raise InputError(f"{database}: cannot be written or read ({reason(error)}); check that the "
                          "disk has space, and give the command again") from error
     with times.of("mapping"):

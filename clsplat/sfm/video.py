@@ -54,7 +54,7 @@ def extract_frames(path: Path, folder: Path, count: int, progress: Progress) -> 
     marker = folder.with_name(DONE)
     if marker.exists() and marker.read_bytes() == identity.encode(errors="replace"):
         return
-    marker.unlink(missing_ok=True)  # first: what it says is no longer there
+    marker.unlink(missing_ok=True)  # first: what it describes is no longer there
     make_folder(folder)
     for old in folder.iterdir():
         old.unlink()
@@ -78,7 +78,7 @@ def _sharpest(path: Path, count: int, progress: Progress) -> Iterator[NDArray[np
         best: Any = None
         sharpest, window = -1.0, 0
         for index, frame in enumerate(container.decode(stream)):
-            # a file may have more frames than it says
+            # a file may have more frames than its header claims
             current = min(index * count // max(total, count), count - 1)
             if current != window and best is not None:
                 yield _upright(best)
@@ -108,7 +108,7 @@ def sharpness(grey: NDArray[Any]) -> float:
 
 
 def _upright(frame: Any) -> NDArray[np.uint8]:
-    """The pixels of a frame, turned as its metadata say."""
+    """The pixels of a frame, turned by its metadata."""
     pixels = frame.to_ndarray(format="rgb24")
     turns = round(getattr(frame, "rotation", 0) / 90) % 4  # counter-clockwise, degrees
     return np.ascontiguousarray(np.rot90(pixels, turns))

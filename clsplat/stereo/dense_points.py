@@ -33,7 +33,7 @@ PLANES = 96
 BATCH = 32  # photos that are on the device together with their sources
 PHOTOS_TOGETHER = 8  # whose points are merged before those of all photos, in threads
 BEYOND = 0.85, 1.2  # the first and last plane, beyond the depths of the view's sparse points
-LEAST_SEEN = 20  # sparse points of a view, to tell its depths
+LEAST_SEEN = 20  # sparse points of a view, to estimate its depths
 LEAST_SCORE = 0.5  # correlation of a pixel's window
 LEAST_SOURCES = 2  # of a photo that is compared, as a score is the mean of two
 AGREEING = 1  # source photos that must have the same depth; two leave out borders of a flight
@@ -43,7 +43,7 @@ SPARSE = 10  # points of pixels that a sparse point counts for, as it is more ex
 AROUND = 0.5  # of the extent of the sparse points, on each side: what is kept
 THINNEST = 0.1  # of the largest extent, which a flat scene has at least along each axis
 MOST_SIZES = 20  # of cells that are tried
-SAME_SIZE = 1.01  # ratio of two sizes of cells that need not be told apart
+SAME_SIZE = 1.01  # ratio of two sizes of cells that count as one
 FILLED = 0.98  # of the cells that are wanted: a size that gives so many is good enough
 LARGEST_CELL = 2.0**20  # pixels
 Floats = NDArray[np.float64]
@@ -155,7 +155,7 @@ def _by(count: int, items: Iterable[Item]) -> Iterator[tuple[Item, ...]]:
 def _depth_ranges(views: Sequence[View], points: Floats, point: NDArray[np.integer],
                   seen_by: NDArray[np.integer]) -> list[tuple[float, float] | None]:
     """For each view the depths of the nearest and the farthest plane; None where too few sparse
-    points tell. For the other arguments see `visibility`."""
+    points show. For the other arguments see `visibility`."""
     result: list[tuple[float, float] | None] = []
     for number, view in enumerate(views):
         _, depth = view.camera.project(points[point[seen_by == number]])

@@ -81,7 +81,7 @@ def confirm(inverse_depths: Array, sizes: Array, cameras: Sequence[Camera], refe
 
 def _compared(device: Device, cameras: Sequence[Camera], reference: int, sources: Sequence[int]
               ) -> dict[str, Array]:
-    """The arrays that say with which photos the reference is compared."""
+    """The arrays of the photos with which the reference is compared."""
     warps = [plane_warp(cameras[reference], cameras[source]) for source in sources]
     return {"sources": device.upload(np.array(sources, np.int32)),
             "warps": device.upload(np.array(warps))}

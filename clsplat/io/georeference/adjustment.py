@@ -4,7 +4,7 @@ A similarity leaves a reconstruction as it is bent: a wrong focal length or dist
 of flat ground, and drift over long strips a wave. So the bundle is adjusted once more, with the
 control points as points whose coordinates are held, each observed where it was marked. A control
 point whose marks then still miss it has wrong coordinates, and is left out (Baarda's data snooping,
-the worst first). Check points take no part, so they tell how right the result is.
+the worst first). Check points take no part, so they show how right the result is.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.f
     reconstruction : a pycolmap.Reconstruction, nearly in its place.
     located : the control points, none of which is a check point.
     offset : float64[3], map coordinates of the reconstruction's origin.
-    keep_focal : whether focal lengths are known better than the photos tell.
+    keep_focal : whether focal lengths are known better than from the photos.
 
     Returns
     -------

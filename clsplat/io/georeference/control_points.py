@@ -49,7 +49,7 @@ class ControlPoint:
     position : (east, north, height), metres, map coordinates.
     marks : (name of a photo, x, y), pixels of the photo as stored, whose upper left corner is
         (0, 0).
-    is_check : whether it takes no part in placing a scene, and only tells its error.
+    is_check : whether it takes no part in placing a scene, and only shows its error.
     """
 
     name: str

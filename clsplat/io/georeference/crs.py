@@ -92,7 +92,7 @@ def scene_crs(text: str) -> str:
 
 def project_crs(definition: str, north_first: bool = False) -> str:
     """The horizontal CRS of another program's project, as `normal_crs` returns it, if its first two
-    coordinates are metres to the east and north; "" if it is another, or none that pyproj knows.
+    coordinates are metres to the east and north; "" if it is another, or none that pyproj accepts.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def project_crs(definition: str, north_first: bool = False) -> str:
 
 
 def is_local(definition: str) -> bool:
-    """Whether the WKT of a project's CRS says that its coordinates have no place on the earth."""
+    """Whether the WKT of a project's CRS gives its coordinates no place on the earth."""
     return definition.lstrip().upper().startswith(LOCAL)
 
 
@@ -132,7 +132,7 @@ def converter(source: str, target: str, why: str = "CRS") -> Conversion:
 
     Parameters
     ----------
-    source, target : as pyproj knows them, such as "EPSG:32614". Heights are above the ellipsoid
+    source, target : as pyproj accepts them, such as "EPSG:32614". Heights are above the ellipsoid
         where a CRS has none of its own.
     why : what needs it, for messages.
 

@@ -62,7 +62,7 @@ def georeference_record(known: Georeference) -> dict[str, Any]:
 
 
 def georeference_of(record: dict[str, Any]) -> Georeference:
-    """The georeference of a record of JSON; ValueError says what is wrong. Records of older
+    """The georeference of a record of JSON; ValueError names the fault. Records of older
     versions lack most keys."""
     crs = record.get("crs")
     if not (isinstance(crs, str) and 0 < len(crs.strip()) <= LONGEST_CRS and crs.isprintable()):
@@ -156,7 +156,7 @@ def write_placement(folder: str | Path, scene: Scene, first_view: bool = False) 
 
 
 def placed(scene: Scene, folder: str | Path) -> Scene:
-    """Add what the files of its folder say about the place and the orientation of a scene."""
+    """Add what the files of its folder hold about the place and the orientation of a scene."""
     orientation = read_orientation(folder)
     return replace(scene, georeference=read_georeference(folder) or scene.georeference,
                    given_up=scene.given_up if orientation is None else orientation[0])
@@ -227,7 +227,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 
 def _camera(record: Any) -> Camera:
-    """The camera of a record; ValueError says what is wrong."""
+    """The camera of a record; ValueError names the fault."""
     record = table(record, "first_view")
     width, height = (pixels(record.get(key), key) for key in ("width", "height"))
     fx, fy = numbers(record.get("focal"), 2, "focal").tolist()

@@ -82,7 +82,7 @@ def _ring(ring: Any) -> NDArray[np.float64]:
 
 
 def _crs(record: dict[str, Any]) -> str:
-    """The CRS of the member that older files have, as pyproj knows it."""
+    """The CRS of the member that older files have, as pyproj accepts it."""
     crs = record.get("crs")
     properties = crs.get("properties") if isinstance(crs, dict) else None
     name = properties.get("name") if isinstance(properties, dict) else None

@@ -44,7 +44,7 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
     photos : folder of photos with GPS, by the names in the model; None: the scene's own.
     crs : the coordinate reference system; "": that of `gcp`, or the UTM zone.
     gcp : a file of ground control points, marked in pixels of the model's photos; None: GPS.
-    checks : names of points of `gcp` that take no part, and tell the error.
+    checks : names of points of `gcp` that take no part, and show the error.
     up : float[3], in the scene; None: by gimbals, or by cameras and points.
 
     Returns

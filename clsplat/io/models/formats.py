@@ -37,7 +37,7 @@ class Format:
     write : called with the path, the gaussians and the notes of `write_model`.
     harmonics : whether it holds spherical harmonics above the constant.
     map_coordinates : whether files of a georeferenced scene hold map coordinates.
-    notes : called with the path; returns what the file says besides its gaussians.
+    notes : called with the path; returns what the file holds besides its gaussians.
     """
 
     what: str
@@ -153,7 +153,7 @@ def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] 
 
 
 def read_notes(path: str | Path) -> Notes:
-    """What a file of a model says besides its gaussians: how it was trained, what is up, and its
+    """What a file of a model holds besides its gaussians: how it was trained, what is up, and its
     georeference, as far as its format has a place for them; raises as `read_model`."""
     return _stored_format(path).notes(Path(path))
 

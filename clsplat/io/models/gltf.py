@@ -60,7 +60,7 @@ XYZW, WXYZ = [1, 2, 3, 0], [3, 0, 1, 2]  # the order of components in the other 
 def write_glb(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     """Write gaussians as binary glTF; see `models.write_model`.
 
-    Notes become `asset.extras.comments`. Programs that do not know the extension show the
+    Notes become `asset.extras.comments`. Programs without the extension show the
     gaussians as coloured points.
     """
     positions, origin = stored_positions(gaussians)
@@ -157,7 +157,7 @@ def read_glb(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians
 
 
 def glb_notes(path: Path) -> Notes:
-    """What a binary glTF says besides its gaussians; see `models.read_notes`."""
+    """What a binary glTF holds besides its gaussians; see `models.read_notes`."""
     with reading(path, "a binary glTF"):
         asset = _chunks(read_regular(path))[0].get("asset")
         extras = asset.get("extras") if isinstance(asset, dict) else None

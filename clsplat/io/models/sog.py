@@ -138,7 +138,7 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians
 
 
 def sog_notes(path: Path) -> Notes:
-    """What a SOG file says besides its gaussians; see `models.read_notes`."""
+    """What a SOG file holds besides its gaussians; see `models.read_notes`."""
     with reading(path, KIND), _opened(path) as part:
         return Notes((MIP,) if _meta(path, part).get("antialias") else ())
 
@@ -253,7 +253,7 @@ def _codes(part: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _single(values: NDArray[np.float64]) -> list[float]:
-    """The shortest decimal numbers that single precision tells apart."""
+    """The shortest decimal numbers that single precision distinguishes."""
     return [float(str(value)) for value in values.astype(np.float32)]
 
 

@@ -29,7 +29,7 @@ from clsplat.io.models.usable import (
 )
 from clsplat.io.reason import reason
 
-MODE = "SplatRenderMode: "  # the comment that says how a model was trained
+MODE = "SplatRenderMode: "  # the comment on how a model was trained
 MIP = f"{MODE}mip"  # with --antialiased
 
 
@@ -66,7 +66,7 @@ def reading(path: Path, what: str) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Notes:
-    """What a file says about its gaussians, if its format has a place for it.
+    """What a file holds about its gaussians, if its format has a place for it.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Notes:
 
     @classmethod
     def of_lines(cls, lines: Iterable[str]) -> Notes:
-        """What lines of text, as `lines` has them, say that is known here; others are left out."""
+        """The notes in lines of text, as `lines` has them; other lines are left out."""
         known = tuple(lines)
         return cls(tuple(line for line in known if line.startswith(MODE)), commented_up(known),
                    commented_georeference(known))
@@ -94,7 +94,7 @@ class Notes:
 
     @property
     def antialiased(self) -> bool:
-        """Whether the comments say that the model was trained with --antialiased."""
+        """Whether the model was trained with --antialiased, by the comments."""
         return MIP in self.comments
 
 

@@ -1,4 +1,4 @@
-"""What a photo's file says about where and with which lens it was taken: EXIF and DJI's XMP.
+"""What a photo's file records about where and with which lens it was taken: EXIF and DJI's XMP.
 
 Cameras write these values with errors and leave any of them out. What is not there, is not a
 finite number or cannot be true is None.
@@ -40,7 +40,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class PhotoMetadata:
-    """What a photo's file says about where and with which lens it was taken.
+    """What a photo's file records about where and with which lens it was taken.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""An open photo: what its header says, and its pixels a few rows at a time.
+"""An open photo: its header, and its pixels a few rows at a time.
 
 docs/guide/photos.md has a table of the formats that are read.
 """

@@ -175,7 +175,7 @@ def _content(view: View) -> str:
 
 
 def _file_facts(path: object) -> list[Any] | None:
-    """What tells whether a file has changed; None without one."""
+    """By which a changed file is recognised; None without one."""
     if not isinstance(path, Path):
         return None
     try:

@@ -1,1 +1,1 @@
-"""The folders of runs and cities: the only code that knows their file names."""
+"""The folders of runs and cities: the only code with their file names."""

@@ -1,4 +1,4 @@
-"""The folder of a large scene's training: the only code that knows its file names.
+"""The folder of a large scene's training: the only code with its file names.
 
 It holds the coarse run, the partition, the blocks and the merged model, which may be made on
 several machines. Every file and every block appears whole or not at all, so that the same command

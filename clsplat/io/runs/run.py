@@ -1,4 +1,4 @@
-"""The folder of a run: the only code that knows its file names."""
+"""The folder of a run: the only code with its file names."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ class RunFolder:
         return placement_files.read_orientation(self.path)
 
     def placed(self, scene: Scene) -> Scene:
-        """The scene of the run, with the georeference and the up axis that the run knows."""
+        """The scene of the run, with the georeference and the up axis of the run."""
         return placement_files.placed(scene, self.path)
 
     @property

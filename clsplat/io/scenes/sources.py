@@ -21,7 +21,7 @@ from clsplat.io.photos.photo import Photo, opened
 from clsplat.io.reason import MOST_CHARACTERS
 from clsplat.scene import Scene, View
 
-# of files that may be photos; what they are is told by their content
+# of files that may be photos; what they are follows from their content
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".jxl", ".exr",
                   ".hdr", ".ppm", ".pgm", ".tga", ".gif")
 IMAGES, SMALLER = "images", re.compile(r"images_(\d+)")  # as in Mip-NeRF 360
@@ -156,7 +156,7 @@ def _lens_notes(views: Sequence[View]) -> Iterator[str]:
 
 
 def _turn_notes(photos: Sequence[Photo]) -> Iterator[str]:
-    """A note about photos that EXIF turns, if their size does not tell whether COLMAP did so."""
+    """A note about photos that EXIF turns, if their size does not show whether COLMAP did so."""
     turned = sum(photo.orientation in (2, 3, 4) or photo.orientation in QUARTER_TURNS
                  and photo.width == photo.height for photo in photos)
     if turned:
@@ -172,7 +172,7 @@ def _fitted(view: View, photo: Photo, factor: float,
     ----------
     resized : `Lens.resized`, of which equal calls give one object.
     """
-    # a photo that has its camera's size was reconstructed as it is stored, if its shape can tell
+    # a photo that has its camera's size was reconstructed as it is stored, unless it is square
     turns = QUARTERS.get(photo.orientation, 0) if photo.width != photo.height else 0
     view = replace(view, transparent=photo.has_alpha, quarter_turns=turns if turns % 2 else 0)
     width, height, camera, size = photo.width, photo.height, view.camera, _stored_size(view)

@@ -2,7 +2,7 @@
 
 Format: https://pix4d.github.io/opf-spec/specification/point_cloud.html, a part of glTF 2.0. A
 node's matrix (column-major) leads from its points to glTF's axes, in which y is up; OPF's have z
-up. The extension OPF_mesh_primitive_matches tells which photos show a point: a packed pair of 40
+up. The extension OPF_mesh_primitive_matches lists the photos that show a point: a packed pair of 40
 bits (the first of its matches) and 24 bits (their number), and a photo for each match.
 """
 

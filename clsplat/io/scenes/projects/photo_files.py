@@ -41,8 +41,8 @@ class PhotoFiles:
 
         Returns
         -------
-        The name of its view, relative to the folder of photos or else with as many folders as tell
-        it from others, and its path, which does not exist if no file fits.
+        The name of its view, relative to the folder of photos or else with as many folders as
+        distinguish it from others, and its path, which does not exist if no file fits.
 
         Raises
         ------

@@ -149,7 +149,7 @@ def _sidecars(folder: Path) -> dict[str, Row]:
 
 
 def _sidecar(data: bytes) -> Row:
-    """What an XMP file says of its camera; empty without a pose. Values are attributes or elements,
+    """The camera in an XMP file; empty without a pose. Values are attributes or elements,
     as the version of the program has it."""
     row: dict[str, str] = {}
     for description in root_of(data).iter(DESCRIPTION):
