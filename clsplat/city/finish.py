@@ -29,7 +29,7 @@ from clsplat.evaluation.views import (
     training_pictures,
 )
 from clsplat.gaussians import Gaussians
-from clsplat.io.georeference.files import placement_comments
+from clsplat.io.georeference.files import placement_comments, write_placement
 from clsplat.io.models.ply import read_ply
 from clsplat.io.models.tree import TREE
 from clsplat.io.runs.city import CityFolder
@@ -145,7 +145,7 @@ def _note_merge(city: CityFolder, scene: Scene, options: TrainOptions, device: D
     jointly = cost([trained] * joint)
     spent = cost([coarse, *(RunFolder(block.run) for block in city.blocks()), *[trained] * joint])
     run.write_options({**run_record(scene, options, device), "blocks": len(merged.shares)})
-    run.write_placement(scene)
+    write_placement(run.path, scene, first_view=True)
     run.rewind(-1)
     run.log({"event": "merge", **spent, "level": 1.0, "joint_steps": jointly["iteration"],
              **merged.record()})

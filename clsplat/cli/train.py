@@ -96,8 +96,9 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path,
 
 def ending(output: Path) -> list[str]:
     """The last lines of a training: warnings of its place, and what can be done with the result."""
-    from clsplat.io.runs.run import REPORT, RunFolder
-    known = RunFolder(output).georeference()
+    from clsplat.io.georeference.files import read_georeference
+    from clsplat.io.runs.run import REPORT
+    known = read_georeference(output)
     warnings = [f"warning: {text}" for text in known.warnings] if known else []
     report = [f"report:  {output / REPORT}"] if (output / REPORT).is_file() else []
     page = output.parent / f"{output.resolve().name}.html"

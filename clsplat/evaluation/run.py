@@ -14,6 +14,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.views import opened
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
+from clsplat.io.georeference.files import placed, read_georeference, read_orientation
 from clsplat.io.models.formats import is_model, read_model, read_notes
 from clsplat.io.photos.undistort import undistorted
 from clsplat.io.runs.learned import read_poses
@@ -147,12 +148,12 @@ class Run:
     @property
     def georeference(self) -> Georeference | None:
         """Where its original coordinates lie on the earth; None: unknown."""
-        return self.folder.georeference()
+        return read_georeference(self.folder.path)
 
     @property
     def up(self) -> NDArray[np.float64]:
         """float64[3], the unit vector that points up."""
-        known = self.folder.orientation()
+        known = read_orientation(self.folder.path)
         return self.scene().up if known is None else known[0]
 
     @property
@@ -166,7 +167,7 @@ class Run:
     @property
     def first_view(self) -> Camera:
         """The camera, in original coordinates, from which a viewer should first look."""
-        known = self.folder.orientation()
+        known = read_orientation(self.folder.path)
         if known is not None and known[1] is not None:
             return known[1]
         camera = self.scene().first_view
@@ -181,7 +182,7 @@ class Run:
         whole : at the size of its photos, and with the poses that it brings.
         """
         place = self.folder.scene_path(None if path is None else Path(path))
-        scene = self.folder.placed(read_scene(place, self.options.images))
+        scene = placed(read_scene(place, self.options.images), self.folder.path)
         recorded = self.record.get("fingerprint")
         if recorded is not None and fingerprint(scene) != recorded:
             raise InputError(f"{place}: is not the scene that {self.path} was trained on; give "

@@ -18,6 +18,7 @@ from clsplat.config.option import is_auto
 from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.gaussians import Gaussians
+from clsplat.io.georeference.files import placed, write_placement
 from clsplat.io.models.ply import START
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
@@ -100,7 +101,7 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     saved : from which it goes on in place of the run's checkpoint, which is of the same step; its
         arrays are dropped once they are on the device.
     """
-    record, scene = run.read_options(), run.placed(scene)
+    record, scene = run.read_options(), placed(scene, run.path)
     if record.get("fingerprint") != fingerprint(scene):
         raise InputError(f"{run.path}: this run was trained on another scene, "
                          f"{record.get('scene_absolute', record.get('scene'))}; give that one, or "
@@ -196,7 +197,7 @@ class Training:
                                  session.model.rows["opacity_logits"].download())
         self.run.write_options({**run_record(scene, options, session.device),
                                 "decisions": session.decisions.values})
-        self.run.write_placement(scene)
+        write_placement(self.run.path, scene, first_view=True)
         self.recorded = True
         self.clock.add(session.start_seconds)
         self.clock.restart()

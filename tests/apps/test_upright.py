@@ -8,7 +8,7 @@ import pytest
 from clsplat.estimate.trial_steps import sampled
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io.georeference.files import write_georeference, write_orientation
+from clsplat.io.georeference.files import read_georeference, write_georeference, write_orientation
 from clsplat.io.models.formats import SUFFIXES, read_model
 from tests.apps.test_models import run_with
 from tests.estimate.test_plan import city, clsplat_
@@ -41,7 +41,7 @@ def test_every_format(run, tmp_path, suffix):
     degree = 0 if suffix in (".las", ".laz") else 1
     assert f"58 gaussians, spherical harmonics to degree {degree}; left out as in" in result.output
     whole = read_model(run.model_path)
-    found = read_model(output, whole.offset, run.georeference())
+    found = read_model(output, whole.offset, read_georeference(run.path))
     assert (found.count, found.sh_degree) == (58, degree)
     low, high = (whole.positions.min(axis=0), whole.positions.max(axis=0))
     assert ((found.positions > low - 0.1) & (found.positions < high + 0.1)).all()

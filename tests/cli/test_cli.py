@@ -75,8 +75,6 @@ def calls(monkeypatch):
         def scene_path(self, given):
             return given or "recorded"
 
-        def georeference(self):
-            return None
 
         def read_options(self):
             record = {"scene": "city", "version": "0", **dataclasses.asdict(self.stored)}

@@ -94,21 +94,6 @@ def write_splits(folder, scene, held_out):
     return split
 
 
-def write_export(folder, scene):
-    """What MatrixCity exported: rotations divided by 100, metres, photos by number; {old name: new
-    name}."""
-    names, frames = {}, []
-    for number, view in enumerate(scene.views):
-        names[view.name] = f"{number:04d}.png"
-        put_photo(view, folder / names[view.name])
-        matrix = pose(scene, view)
-        matrix[:3, :3] /= 100
-        frames.append({"frame_index": number, "rot_mat": matrix.tolist()})
-    write_json(folder / "transforms.json", {**camera_angle(scene), "frames": frames})
-    write_ply(folder / "points3D.ply", world_points(scene) / 100, scene.colours)
-    return names
-
-
 def write_mega_nerf(folder, scene, held_out, save, scale=50.0, dtype=np.float64):
     """Mega-NeRF's tree, without points; save: called with a table and a path, as torch.save;
     numbers in `dtype`."""

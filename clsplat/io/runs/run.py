@@ -12,15 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.georeference import Georeference
 from clsplat.io.atomic import PARTIAL, replacing
 from clsplat.io.folders import make_folder, remove_files
-from clsplat.io.georeference import files as placement_files
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.npz import read_npz, state_array, write_npz
@@ -32,7 +29,6 @@ from clsplat.io.runs.origin import origin
 from clsplat.io.runs.renders import Renders
 from clsplat.io.runs.scene_path import recorded_scene, scene_record
 from clsplat.response import Response
-from clsplat.scene import Scene
 
 OPTIONS, METRICS = "options.json", "metrics.jsonl"
 CHECKPOINT = "checkpoint.npz"
@@ -188,24 +184,6 @@ class RunFolder:
         except ValueError as error:
             raise InputError(f"{path}: damaged ({reason(error)}); start the run again with "
                              "--overwrite") from None
-
-    def write_placement(self, scene: Scene) -> None:
-        """Write what a model needs of its scene: the georeference, which way is up, the first view.
-        """
-        placement_files.write_placement(self.path, scene, first_view=True)
-
-    def georeference(self) -> Georeference | None:
-        """Where the scene of the run lies on the earth; None: unknown."""
-        return placement_files.read_georeference(self.path)
-
-    def orientation(self) -> tuple[NDArray[np.float64], Camera | None] | None:
-        """The unit vector that points up and the first view, in original coordinates; None if the
-        run is older than their file."""
-        return placement_files.read_orientation(self.path)
-
-    def placed(self, scene: Scene) -> Scene:
-        """The scene of the run, with the georeference and the up axis of the run."""
-        return placement_files.placed(scene, self.path)
 
     @property
     def is_begun(self) -> bool:

@@ -1,11 +1,7 @@
 """Reads transforms.json: instant-ngp's and nerfstudio's, and MatrixCity's (Li et al. 2023).
 
-Poses are camera to world with camera axes right, up, back. MatrixCity has two kinds of file. Its
-splits (transforms_train.json, transforms_test.json) are in units of 100 m. Its exports from Unreal
-Engine have frames with `rot_mat`, rotations divided by 100 and positions in metres, and
-`frame_index`, the photo's name; they are converted to the units of the splits, so that the point
-clouds of these fit (authors' answer in city-super/MatrixCity, issue 9). Other keys, such as
-aabb_scale, do not describe the cameras and are ignored.
+Poses are camera to world with camera axes right, up, back. Keys that do not describe the cameras,
+such as aabb_scale, are ignored.
 """
 
 from collections.abc import Mapping
@@ -39,7 +35,6 @@ FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
 LENSES = {FISHEYE: COEFFICIENTS[:4], RATIONAL: COEFFICIENTS, **dict.fromkeys(
     ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"),
     (*COEFFICIENTS[:4], "p1", "p2"))}
-MATRIXCITY_UNIT = 100.0  # metres
 
 
 def has_transforms(folder: Path) -> bool:
@@ -105,8 +100,8 @@ def _own(table: Mapping[str, Any], frame: Mapping[str, Any]) -> dict[str, Any]:
 
 def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> PosedPhoto:
     """The photo of a frame, which includes the keys that the file gives for all frames."""
-    pose, file_path = _pose(frame)
-    name, source = _photo(folder, file_path)
+    pose = _matrix(frame, "transform_matrix")
+    name, source = _photo(folder, frame.get("file_path"))
     if "w" in frame and "h" in frame:
         size = pixels(frame["w"], "w"), pixels(frame["h"], "h")
     else:
@@ -119,16 +114,6 @@ def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> Pose
                     _lens(frame, size, (focal_x, focal_y, *centre)))
     return PosedPhoto(name, source, optics, (pose[:, :3] * FLIPPED).T, pose[:, 3], held_out,
                       None if mask is None else folder / text(mask, "mask_path"))
-
-
-def _pose(frame: Mapping[str, Any]) -> tuple[NDArray[np.float64], Any]:
-    """The pose float64[3, 4], and the path of the photo, unchecked."""
-    if "rot_mat" not in frame:
-        return _matrix(frame, "transform_matrix"), frame.get("file_path")
-    pose = _matrix(frame, "rot_mat")
-    pose[:, :3] *= MATRIXCITY_UNIT
-    pose[:, 3] /= MATRIXCITY_UNIT
-    return pose, f"{_number(frame, 'frame_index'):04.0f}.png"
 
 
 def _matrix(table: Mapping[str, Any], key: str) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ from clsplat.io.georeference.files import (
     read_orientation,
     write_georeference,
     write_orientation,
+    write_placement,
 )
 from clsplat.io.models.ply import read_ply, read_vertices, write_ply
 from clsplat.io.runs.run import RunFolder
@@ -134,11 +135,11 @@ def test_a_run_keeps_what_its_model_needs_of_the_scene(tmp_path):
     scene = replace(read_scene(tmp_path / "scene"), georeference=HERE)
     folder = RunFolder.create(tmp_path / "run")
     folder.write_options({"scene": tmp_path / "scene"})
-    folder.write_placement(scene)
+    write_placement(folder.path, scene, first_view=True)
     run = Run.open(tmp_path / "run")
     assert run.georeference == HERE and run.up.tolist() == [0, 0, 1]
     assert np.allclose(run.first_view.position, scene.first_view.position + scene.offset)
-    folder.write_placement(replace(scene, georeference=None).with_up([0, -1, 0]))
+    write_placement(folder.path, replace(scene, georeference=None).with_up([0, -1, 0]))
     assert run.georeference is None and run.up.tolist() == [0, -1, 0]
     assert run.scene().up.tolist() == [0, -1, 0]  # what the user gave outlives the scene's estimate
     (tmp_path / "run" / ORIENTATION).unlink()  # as in a run of an older version
