@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
               help="File to write; its suffix selects the format: .ply, .compressed.ply, .sog, "
-              ".spz, .splat, .glb, points as .las or .laz, or .html, a page for the browser. "
+              ".spz, .glb, points as .las or .laz, or .html, a page for the browser. "
               "Without a suffix: a folder of 3D Tiles with levels of detail.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--upright", is_flag=True, help="Turn the model so that up is -y, as most viewers "

@@ -75,7 +75,6 @@ def calls(monkeypatch):
         def scene_path(self, given):
             return given or "recorded"
 
-
         def read_options(self):
             record = {"scene": "city", "version": "0", **dataclasses.asdict(self.stored)}
             return json.loads(json.dumps(record))

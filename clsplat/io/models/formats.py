@@ -1,6 +1,6 @@
 """Models in files of every format: the suffix of a name selects the format."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from clsplat.io.models.las import read_las, write_las
 from clsplat.io.models.ply import gaussians_of, read_elements, write_ply
 from clsplat.io.models.points import is_cloud, ply_cloud
 from clsplat.io.models.sog import is_unbundled, read_sog, sog_notes, write_sog
-from clsplat.io.models.splat_file import read_splat, write_splat
+from clsplat.io.models.splat_file import read_splat
 from clsplat.io.models.spz import read_spz, spz_notes, write_spz
 from clsplat.io.models.values import Notes
 
@@ -34,7 +34,8 @@ class Format:
     what : what it is, in a few words.
     read : called with the path and the offset of `read_model`, and if it has map coordinates
         with the CRS of the scene.
-    write : called with the path, the gaussians and the notes of `write_model`.
+    write : called with the path, the gaussians and the notes of `write_model`; None: it is read
+        only.
     harmonics : whether it holds spherical harmonics above the constant.
     map_coordinates : whether files of a georeferenced scene hold map coordinates.
     notes : called with the path; returns what the file holds besides its gaussians.
@@ -42,7 +43,7 @@ class Format:
 
     what: str
     read: Callable[..., Gaussians]
-    write: Callable[[Path, Gaussians, Notes], None]
+    write: Callable[[Path, Gaussians, Notes], None] | None = None
     harmonics: bool = True
     map_coordinates: bool = False
     notes: Callable[[Path], Notes] = lambda _: Notes()
@@ -78,8 +79,6 @@ FORMATS = {
     ".sog": Format("the format of PlayCanvas, the smallest", read_sog, write_sog,
                    notes=sog_notes),
     ".spz": Format("the format of Niantic, small", read_spz, write_spz, notes=spz_notes),
-    ".splat": Format("without view-dependent colours", read_splat, write_splat,
-                     harmonics=False),
     ".glb": Format("glTF with KHR_gaussian_splatting", read_glb, write_glb,
                    notes=glb_notes),
     ".laz": Format("points for maps, compressed", read_las, write_las, harmonics=False,
@@ -87,6 +86,8 @@ FORMATS = {
     ".las": Format("points for maps", read_las, write_las, harmonics=False, map_coordinates=True),
 }
 SUFFIXES = tuple(FORMATS)
+# a format of earlier years, which is read only
+READ = {**FORMATS, ".splat": Format("of antimatter15's viewer", read_splat)}
 
 
 def read_model(path: str | Path, offset: ArrayLike | None = None,
@@ -97,7 +98,7 @@ def read_model(path: str | Path, offset: ArrayLike | None = None,
 
     Parameters
     ----------
-    path : a file with one of SUFFIXES, or SOG in a folder: that, or its meta.json.
+    path : a file with a suffix of READ, or SOG in a folder: that, or its meta.json.
     offset : float64[3], original coordinates of the origin of the local ones; None: the one that
         the file records.
     georeference : of the scene for which it is read: LAS and LAZ hold map coordinates, which
@@ -149,7 +150,9 @@ def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] 
     """
     path = Path(path)
     notes = Notes(tuple(comments), None if up is None else np.asarray(up, np.float64), georeference)
-    format_of(path).write(path, gaussians, notes)
+    write = format_of(path).write
+    assert write is not None
+    write(path, gaussians, notes)
 
 
 def read_notes(path: str | Path) -> Notes:
@@ -166,14 +169,14 @@ def is_model(path: str | Path) -> bool:
 
 def _stored_format(path: str | Path) -> Format:
     """The format of a file that is read."""
-    return FORMATS[".sog"] if is_unbundled(Path(path)) else format_of(path)
+    return FORMATS[".sog"] if is_unbundled(Path(path)) else format_of(path, READ)
 
 
-def format_of(path: str | Path) -> Format:
-    """The format of a file name; InputError if its suffix is unknown."""
+def format_of(path: str | Path, formats: Mapping[str, Format] = FORMATS) -> Format:
+    """The format of a file name among `formats`; InputError if its suffix is unknown."""
     name = Path(path).name.lower()
-    for suffix, kind in FORMATS.items():
+    for suffix, kind in formats.items():
         if name.endswith(suffix):
             return kind
-    known = "; ".join(f"{suffix} ({kind.what})" for suffix, kind in FORMATS.items())
+    known = "; ".join(f"{suffix} ({kind.what})" for suffix, kind in formats.items())
     raise InputError(f"{path}: unknown suffix '{Path(path).suffix}'; known: {known}")

@@ -36,12 +36,6 @@ def test_other_systems():
             scene_crs(text)
 
 
-def test_a_crs_with_control_characters_is_refused_in_one_line():
-    with pytest.raises(InputError) as caught:
-        normal_crs("EPSG\x1a32632")
-    assert str(caught.value).isprintable()
-
-
 def test_degrees_to_metres_and_to_the_earth():
     # the meeting of a central meridian and the equator
     assert np.allclose(conversion("OGC:CRS84", "EPSG:32633", "--polygon")(
