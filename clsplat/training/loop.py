@@ -162,8 +162,8 @@ class Training:
         self.recorded = gaussians is not None
         self.run, self.watcher, self._on_save = run, watcher, on_save
         self.progress = progress = SilentProgress() if progress is None else progress
-        note = size_note(scene.views, options)
-        if note and not is_part_of_city(scene, options):  # a city shows it once
+        # a city shows it once
+        if (note := size_note(scene.views, options)) and not is_part_of_city(scene, options):
             progress.message(note)
         if any(view.lens for view in scene.views):
             progress.phase("undistorting photos")
