@@ -90,9 +90,8 @@ class SigOptions:
         "proportion to its resolution; auto: as much as its resolution is of that of all levels; "
         "all: they have no deadlines", words={AUTO: AUTO, "all": 1.0}, minimum=0.0, maximum=1.0,
         part="sig", flag=False, measured=True)
-    rounds: int = option(12, "Levels", "largest number of rounds of growth at each level; all: "
-                         "rounds at fixed intervals, as --schedule constant has them",
-                         words={"all": 0}, minimum=1, part="sig", flag=False, measured=True)
+    rounds: int = option(12, "Levels", "largest number of rounds of growth at each level",
+                         minimum=1, part="sig", flag=False, measured=True)
     level_reset: bool = option(True, "Levels", "reset opacities at the start of each level, so "
                                "that gaussians which the sharper images do not need are pruned",
                                part="sig", flag=False, measured=True)
@@ -116,12 +115,12 @@ class Sig(Schedule):
     @classmethod
     def grows_until(cls, options: "ScheduledOptions") -> int:
         """See `Schedule.grows_until`: to the end, as each level has its own rounds."""
-        return options.iterations if options.rounds else super().grows_until(options)
+        return options.iterations
 
     @classmethod
     def grows_every(cls, options: "ScheduledOptions") -> int:
         """See `Schedule.grows_every`: the length of a level decides (`every`)."""
-        return 0 if options.rounds else super().grows_every(options)
+        return 0
 
     @classmethod
     def planned_levels(cls, options: "ScheduledOptions", facts: SceneFacts
@@ -214,22 +213,17 @@ class Sig(Schedule):
         if o.densify_every:
             return o.densify_every
         low, high = ROUND_STEPS
-        evenly = GROWS_SHARE * self.allotment / max(1, o.rounds)
+        evenly = GROWS_SHARE * self.allotment / o.rounds
         return max(1, int(min(max(evenly, min(low, self.allotment / SAMPLES_A_LEVEL)), high)))
 
     def plan(self, iteration: int) -> Plan:
         """See `Schedule.plan`."""
         o, before = self.options, iteration - 1
-        since = before - self.began
-        if o.rounds:
-            settle = min(o.densify_from, SETTLE_SHARE * self.allotment)
-            in_rounds = self._rounds_left(since) and before < o.densify_until
-            last = max(self.grown_at - 1, self.began + settle)
-            grows = in_rounds and before >= last + self.every
-            growing = in_rounds and not self.full
-        else:
-            growing = before < o.densify_until
-            grows = growing and before > o.densify_from and before % self.every == 0
+        settle = min(o.densify_from, SETTLE_SHARE * self.allotment)
+        in_rounds = self._rounds_left(before - self.began) and before < o.densify_until
+        last = max(self.grown_at - 1, self.began + settle)
+        grows = in_rounds and before >= last + self.every
+        growing = in_rounds and not self.full
         progress = super().decay(iteration)
         return Plan(
             level=self.levels[self.index], degree=self.degree(iteration), gathers=growing,
@@ -250,7 +244,7 @@ class Sig(Schedule):
         o = self.options
         if before == 0:
             return False
-        return (o.level_reset and before == self.began and (o.rounds > 0 or growing)) or (
+        return (o.level_reset and before == self.began) or (
             growing and o.reset_every > 0 and before % o.reset_every == 0)
 
     def decay(self, iteration: int) -> float:
@@ -309,8 +303,6 @@ class Sig(Schedule):
     def _settled(self, iteration: int) -> bool:
         """Whether this level's growth is over, with enough samples after it for a test."""
         since = iteration - self.began
-        if not self.options.rounds:
-            return since >= GROWS_SHARE * self.allotment
         # rounds that only prune disturb little
         return self.full or (not self._rounds_left(since)
                              and iteration >= self.grown_at + 2 * self.observe_every)

@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.options import TrainOptions, resolve
-from clsplat.schedule import scaled_steps, schedule_of
+from clsplat.options import resolve
 from clsplat.schedule.sig import (
     GROWS_SHARE,
 )
 from clsplat.schedule.sig_limits import LEVELS, ROUND_STEPS, chosen_levels
 from tests.schedule.driven_sig import (
-    FACTS,
     PRESETS,
     decisions,
     drive,
@@ -171,16 +169,6 @@ def test_a_full_level_gathers_nothing_and_waits_for_no_round():
     assert decisions(full)[0][0] < rounds(roomy, 4.0)[-1] < decisions(roomy)[0][0]
 
 
-def test_without_rounds_growth_is_that_of_constant():
-    changes = {"densify_from": 500, "densify_until": 2600, "densify_every": 100}
-    schedule = sig(rounds=0, **changes)
-    constant = schedule_of("constant")(
-        scaled_steps(TrainOptions(iterations=6000, schedule="constant", **changes)), FACTS)
-    for iteration, plan, _ in drive(schedule, rising):
-        expected = constant.plan(iteration)
-        assert (plan.grows, plan.gathers) == (expected.grows, expected.gathers), iteration
-
-
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.one_in(3)
 def test_rounds_left_over_are_carried_by_the_release_only(preset):
@@ -253,8 +241,8 @@ def test_what_is_ahead(frequency):
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("frequency", [flat, wild])
 def test_stopped_anywhere_it_goes_on_alike(preset, frequency):
-    """Through JSON, at every iteration; also with growth at fixed intervals."""
-    for changes in ({"rounds": 6}, {"rounds": 0}, {"rounds": 6, "pixels_per_gaussian": 200.0}):
+    """Through JSON, at every iteration."""
+    for changes in ({"rounds": 6}, {"rounds": 6, "pixels_per_gaussian": 200.0}):
         changes = {**changes, "preset": preset, "levels": (4.0, 2.0, 1.0), "iterations": 1500,
                    "level_share": 0.6, "densify_every": 40}
         whole = drive(sig(**changes), frequency)

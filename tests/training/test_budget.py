@@ -136,7 +136,7 @@ def slowing(level, count, iteration):
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("step", [by_pixels, by_level, slowing])
-@pytest.mark.parametrize("options", [{}, {"levels": (2.0, 1.0)}, {"rounds": 0},
+@pytest.mark.parametrize("options", [{}, {"levels": (2.0, 1.0)},
                                      {"schedule": "constant"}], ids=str)
 def test_a_run_ends_when_it_should(step, options):
     training = Simulated(240, Clock(step), **options)

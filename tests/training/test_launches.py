@@ -87,8 +87,8 @@ def test_corrected_poses(float_device, city, tmp_path, counted):
 def test_a_step_with_reprojection(float_device, city, tmp_path, counted):
     """Its weight is another one in each step."""
     launches = of_a_replay(counted(float_device, city, tmp_path, **{
-        **LEVELLED, "levels": (1.0,), "rounds": 0, "iterations": STEPS, "sh_degree": 1,
-        "sh_every": 1, "reproject": "on", "densify_from": 1000, "densify_until": 10**6}))
+        **LEVELLED, "levels": (1.0,), "convergence": "paper", "iterations": STEPS, "sh_degree": 1,
+        "sh_every": 1, "reproject": "on", "densify_every": 1000}))
     assert launches == (23 if float_device.form == "item" else 19)
 
 
