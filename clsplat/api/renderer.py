@@ -16,6 +16,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians, check_field
 from clsplat.io.photos.images import encode_image
 from clsplat.rendering import pipeline
+from clsplat.rendering.blend import MOST_CHANNELS
 from clsplat.rendering.slabs import OpenedRenderer, SlabFrame, gaussian_limit, open_model
 from clsplat.scene import NEAR_SHARE
 from clsplat.training.rooms import Rooms
@@ -104,7 +105,7 @@ class Frame:
 
     Attributes
     ----------
-    image : float32[H, W, 3].
+    image : float32[H, W, 3], or with features float32[H, W, C].
     depth : float32[H, W], sums of weight times depth, world units; None if it was not requested.
     transmittance : float32[H, W], 0 to 1, the share of the background that is visible.
     """
@@ -120,7 +121,8 @@ class Frame:
         return f"<clsplat.Frame {width} x {height}{'' if self.depth is None else ', with depth'}>"
 
     def _repr_png_(self) -> bytes:
-        return encode_image(self.image, "png", 100, "PNG")
+        last = self.image.shape[2] - 1  # of features, the first three
+        return encode_image(self.image[..., [0, min(1, last), min(2, last)]], "png", 100, "PNG")
 
 
 class Renderer:
@@ -173,13 +175,15 @@ class Renderer:
         rows = {name: array.download().astype(np.float32) for name, array in self._rows.items()}
         return api.Gaussians(rows, self.model.sh_degree, self.model.offset)
 
-    def forward(self, camera: Camera, *, depth: bool = False) -> Frame:
+    def forward(self, camera: Camera, *, depth: bool = False, features: Any = None) -> Frame:
         """Render from a camera.
 
         Parameters
         ----------
         camera : the view.
         depth : whether the frame has depths.
+        features : float[N, C], any numbers of the gaussians, which are blended in place of the
+            colours over zeros; C is 1 to 16.
 
         Returns
         -------
@@ -187,7 +191,8 @@ class Renderer:
         """
         packed = self._pipeline.pack(_in_frame_of(self.model, camera))
         frame = self._pipeline.render(self._rows, packed, camera.width, camera.height,
-                                      self.model.sh_degree, with_depth=depth)
+                                      self.model.sh_degree, with_depth=depth,
+                                      features=self._features(features))
         depths = frame.blended.depth.download().astype(np.float32) if depth else None
         return Frame(_image(frame.image), depths,
                      frame.blended.transmittance.download().astype(np.float32), frame, camera)
@@ -201,7 +206,7 @@ class Renderer:
         Parameters
         ----------
         frame : of the last `forward`; parameters must not have changed since.
-        grad_image : float[H, W, 3], gradient of the loss by the image.
+        grad_image : of the shape of the image, gradient of the loss by it.
         grad_depth : float[H, W], by `frame.depth`, for a frame with depth.
         grad_transmittance : float[H, W], by `frame.transmittance`, for a frame with depth.
         pose : whether the gradient by the pose is wanted.
@@ -210,13 +215,14 @@ class Renderer:
         -------
         Field name -> float32 of the field's shape; 0 for gaussians that the camera does not see, or
         whose gradient is not finite. With `pose` also "turn" and "shift", float32[3]: the gradient
-        by the arguments of `Camera.moved` where these are 0.
+        by the arguments of `Camera.moved` where these are 0. For a frame of features also
+        "features", float32[N, C].
 
         Raises
         ------
         clsplat.ClsplatError : for gradients of another shape, or by depths that the frame lacks.
         """
-        height, width, _ = frame.image.shape
+        height, width, channels = frame.image.shape
         if frame.depth is None and not (grad_depth is None and grad_transmittance is None):
             raise InputError("gradients of depth or transmittance need a frame with depth: "
                              "forward(camera, depth=True)")
@@ -225,19 +231,33 @@ class Renderer:
             for name, values in (("grad_depth", grad_depth),
                                  ("grad_transmittance", grad_transmittance)))
         gradients = self._pipeline.adjoint(
-            self._rows, frame._frame, self._gradient(grad_image, "grad_image", (height, width, 3)),
+            self._rows, frame._frame,
+            self._gradient(grad_image, "grad_image", (height, width, channels)),
             by_depth, by_transmittance, with_pose=pose)
         rows = gradients.rows.download()
         finite = rows != NO_ROW
-        dense = {}
-        for name, values in gradients.fields.items():
-            dense[name] = np.zeros(self._rows[name].shape, np.float32)
+        dense, found = {}, dict(gradients.fields)
+        if gradients.features is not None:
+            found["features"] = gradients.features
+        for name, values in found.items():
+            dense[name] = np.zeros((self.model.count, *values.shape[1:]), np.float32)
             dense[name][rows[finite]] = values.download()[finite]
-        if gradients.pose_terms is not None:  # by a turn of what is seen, and by its positions
-            turn, away = np.split(gradients.pose_terms.download()[finite].sum(0, np.float64), 2)
+        if pose:
+            turn, away = np.split(gradients.by_pose(), 2)
             dense |= {"turn": turn.astype(np.float32),
-                      "shift": (-frame._camera.rotation @ away).astype(np.float32)}
+                      "shift": (frame._camera.rotation @ away).astype(np.float32)}
         return dense
+
+    def _features(self, values: Any) -> Any:
+        """Features on the device; None: there are none."""
+        if values is None:
+            return None
+        array = _as_numpy(values, "features")
+        if array.ndim != 2 or len(array) != self.model.count or not (
+                1 <= array.shape[1] <= MOST_CHANNELS):
+            raise InputError(f"features: has shape {array.shape}, not ({self.model.count}, 1 to "
+                             f"{MOST_CHANNELS})")
+        return self.device.upload(array)
 
     def _gradient(self, values: Any, name: str, shape: tuple[int, ...]) -> Any:
         array = _as_numpy(values, name)

@@ -135,6 +135,25 @@ def test_a_batch_is_its_frames(item_device):
     assert clsplat.render(blob(), cameras=[], device=item_device) == []
 
 
+def test_features_are_blended_like_colours_and_have_gradients(item_device):
+    model, rng = blob(), np.random.default_rng(3)
+    renderer = clsplat.Renderer(model, item_device)
+    features = rng.normal(size=(30, 8)).astype(np.float32)
+    frame = renderer.forward(CAMERA, features=features)
+    assert frame.image.shape == (28, 40, 8) and frame._repr_png_().startswith(b"\x89PNG")
+    constant = renderer.forward(CAMERA, features=np.ones((30, 1))).image[..., 0]
+    assert np.allclose(constant, 1 - frame.transmittance, atol=1e-5)
+    weights = rng.normal(size=frame.image.shape)
+    gradient = renderer.backward(frame, weights, pose=True)
+    assert gradient["turn"].any() and gradient["features"].shape == (30, 8)
+    # the image is linear in the features
+    assert (gradient["features"] * features).sum() == pytest.approx((weights * frame.image).sum(),
+                                                                    rel=1e-3)
+    for wrong in (np.zeros((29, 8)), np.zeros((30, 17)), np.zeros(30), "abc"):
+        with pytest.raises(clsplat.ClsplatError, match="features: "):
+            renderer.forward(CAMERA, features=wrong)
+
+
 @pytest.mark.slow  # double-precision kernels take long to compile
 @pytest.mark.parametrize("depth", [False, True])
 def test_backward_is_the_derivative_of_forward(double_device, depth):
@@ -334,6 +353,12 @@ def test_example_of_fitting_an_image():
 def test_example_of_a_pose():
     away = [float(line.split()[2]) for line in ran("fit_a_pose.py").splitlines()]
     assert away[0] > 0.2 and away[-1] < 0.02
+
+
+@pytest.mark.slow
+def test_example_of_features():
+    right = [float(line.split()[2]) for line in ran("fit_features.py").splitlines()]
+    assert right[-1] > 0.98
 
 
 @pytest.mark.slow
