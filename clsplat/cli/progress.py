@@ -13,7 +13,7 @@ from typing import TextIO
 
 from clsplat.training.progress import SilentProgress, training_at
 
-DEFAULT_COLUMNS = 80  # where a terminal does not tell its width
+DEFAULT_COLUMNS = 80  # of a terminal that gives none
 DRAW_SECONDS, LOG_SECONDS = 0.1, 10.0  # least time between numbers on a terminal, and in a log
 SPEED_REPORTS = 8  # latest reports, over which speed is measured
 TICK_SECONDS = 1.0  # between two drawings on a terminal, where nothing is reported meanwhile
@@ -38,7 +38,7 @@ class Progress(SilentProgress):
     def __init__(self, stop_at: int = 0, file: TextIO | None = None, title: str = "") -> None:
         self._stop_at, self._title = stop_at, title
         self._file: TextIO | None = sys.stderr if file is None else file  # None if it is closed
-        self._live = self._is_terminal()
+        self._live = self._file is not None and self._file.isatty()
         self._drawn = 0  # columns of the line that is on the terminal
         self._logged: set[str] = set()  # phases
         self._latest = ""  # numbers that the log does not have yet
@@ -165,7 +165,9 @@ class Progress(SilentProgress):
         return f"{self._title}: {self._phase}" if self._title else self._phase
 
     def _draw_line(self) -> None:
-        self._draw(fitted(self._fields(), self._columns() - 1))
+        if self._file is not None:
+            columns = os.get_terminal_size(self._file.fileno()).columns or DEFAULT_COLUMNS
+            self._draw(fitted(self._fields(), columns - 1))
 
     def _draw(self, line: str) -> None:
         """Replace the line on a terminal."""
@@ -176,28 +178,12 @@ class Progress(SilentProgress):
     def _log(self, line: str) -> None:
         self._write(line + "\n")
 
-    def _columns(self) -> int:
-        try:
-            descriptor = self._file.fileno() if self._file else -1
-            return os.get_terminal_size(descriptor).columns or DEFAULT_COLUMNS
-        except (OSError, ValueError, AttributeError):
-            return DEFAULT_COLUMNS
-
-    def _is_terminal(self) -> bool:
-        try:
-            return self._file is not None and self._file.isatty()
-        except (OSError, ValueError, AttributeError):
-            return False
-
     def _write(self, text: str) -> None:
         """Write to the stream while that works: a closed pipe must not end a training."""
         if self._file is None:
             return
         try:
-            try:
-                self._file.write(text)
-            except UnicodeEncodeError:  # a terminal with a small character set
-                self._file.write(text.encode("ascii", "backslashreplace").decode())
+            self._file.write(text)
             self._file.flush()
         except (OSError, ValueError):
             self._file = None

@@ -1,7 +1,5 @@
 """Lists all devices, tests which of them work, and chooses one."""
 
-import os
-import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,7 +10,6 @@ from clsplat.device.capabilities import probe_capabilities, probe_working
 from clsplat.device.device import Device, Handle
 from clsplat.errors import DeviceError
 
-SPARE_THREADS = 4  # of a CPU runtime, beside one a core
 NO_DEVICE = (
     "no working OpenCL device; install one: `pip install intel-opencl-rt intel-cmplr-lib-rt` "
     "(Linux, any x86-64 CPU), `apt-get install pocl-opencl-icd`, or your GPU vendor's driver")
@@ -60,7 +57,6 @@ def list_devices() -> list[ListedDevice]:
 def _enumerate() -> list[ListedDevice]:
     """Every device, not yet tested, in the order of the platforms."""
     entries: list[ListedDevice] = []
-    _check_threads()
     try:
         platforms = cl.get_platforms()
     except cl.LogicError:  # raised where there is no platform
@@ -75,17 +71,6 @@ def _enumerate() -> list[ListedDevice]:
                 len(entries), platform.name.strip(), handle.name.strip() if handle else "-",
                 _type(handle), handle))
     return entries
-
-
-def _check_threads() -> None:
-    """RuntimeError if not as many threads can be started as a CPU runtime wants, which would end
-    the process without a reason."""
-    done = threading.Event()
-    try:
-        for _ in range((os.cpu_count() or 1) + SPARE_THREADS):
-            threading.Thread(target=done.wait, daemon=True).start()
-    finally:
-        done.set()
 
 
 def _tested(entry: ListedDevice) -> ListedDevice:
