@@ -1,12 +1,10 @@
 """The command line: what it calls, what it prints, how it fails. No device is needed."""
 
 import dataclasses
-import importlib
 import json
 import subprocess
 import sys
 import types
-from contextlib import contextmanager
 
 import click
 import numpy as np
@@ -20,9 +18,12 @@ from clsplat.cli.main import main
 from clsplat.cli.train import resumed_options
 from clsplat.errors import ClsplatError, DeviceError, Interrupted
 from clsplat.gaussians import Gaussians
+from clsplat.georeference import Georeference
+from clsplat.io.georeference.files import write_georeference
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
-from tests.data import ground_model
+from tests.data.tiny_model import write_scene
+from tests.data.tiny_training import CITY
 
 
 def clsplat_(*arguments):
@@ -45,57 +46,6 @@ def module(monkeypatch, name, **contents):
     return made
 
 
-@pytest.fixture
-def calls(monkeypatch):
-    """The modules behind `train`, replaced by ones that record how they were called."""
-    importlib.import_module("clsplat.sfm.photos")  # imports what is replaced
-    noted = []
-
-    class FakeRun:
-        stored = resolve({}, {"iterations": 800, "stop_at": 300, "seed": 5, "device": "stored",
-                              "eval_at": (9,), "preset": "release", "sphere_shrink": 0.5})
-
-        def __init__(self, path):
-            self.path = path
-
-        @classmethod
-        def create(cls, path, overwrite):
-            noted.append(("create", path, overwrite))
-            return cls(path)
-
-        @classmethod
-        def open(cls, path):
-            noted.append(("open", path))
-            return cls(path)
-
-        @contextmanager
-        def locked(self):
-            yield
-
-        def scene_path(self, given):
-            return given or "recorded"
-
-        def read_options(self):
-            record = {"scene": "city", "version": "0", **dataclasses.asdict(self.stored)}
-            return json.loads(json.dumps(record))
-
-    def trainer(name):
-        def call(scene, options, device, run, progress=None, watcher=None):
-            noted.append((name, scene, options, device, progress))
-            if progress is not None:
-                progress(iteration=0, total=5, loss=1.0, gaussians=1, memory_bytes=0, level=2.0)
-        return call
-
-    module(monkeypatch, "clsplat.io.runs.run", RunFolder=FakeRun, REPORT="report.html")
-    module(monkeypatch, "clsplat.io.scenes.read",
-           read_scene=lambda path, given: f"scene {path}{given}")
-    module(monkeypatch, "clsplat.device", choose_device=lambda spec, **_: f"device {spec}")
-    train = module(monkeypatch, "clsplat.training")
-    train.loop = module(monkeypatch, "clsplat.training.loop", train=trainer("train"),
-                        resume=trainer("resume"))
-    return noted
-
-
 def raising(error):
     """A group like `main` with one command `fail`."""
     group = type(main)("clsplat")
@@ -106,16 +56,6 @@ def raising(error):
         raise error
     group.add_section("Fail", fail)
     return group
-
-
-def test_up_is_not_asked_for_where_the_earth_tells(tmp_path, calls, monkeypatch):
-    """Maps and tiles of a run so trained would be turned against the earth."""
-    module(monkeypatch, "clsplat.io.scenes.read", read_scene=lambda *_: ground_model.scene())
-    result = clsplat_("train", tmp_path, "-o", tmp_path / "run", "--up", 0, 0.1, 1)
-    assert result.exit_code == 2 and "so its z axis points up" in result.stderr, result.output
-    module(monkeypatch, "clsplat.io.scenes.read", read_scene=lambda *_: ground_model.scene(None))
-    assert clsplat_("train", tmp_path, "-o", tmp_path / "run", "--up", 0, 0.1, 1).exit_code == 0
-    assert calls[-1][0] == "train" and calls[-1][1].up[1] > 0.09
 
 
 def test_version_and_module_entry():
@@ -167,52 +107,48 @@ def test_wrong_usage_is_one_line_and_exit_2(arguments):
     assert result.stderr.count("\n") == 1
 
 
-def test_train_calls_with_resolved_options(calls, tmp_path):
-    config = tmp_path / "run.toml"
-    config.write_text("iterations = 50\nseed = 1\ndevice = 'cpu'\n")
-    result = clsplat_("train", "city", "-o", "run", "--config", config, "--seed", 2, "--overwrite")
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """(what a training printed, its folder); not to be changed."""
+    folder = tmp_path_factory.mktemp("trained")
+    (folder / "run.toml").write_text("iterations = 50\nseed = 1\npreset = 'paper'\n")
+    result = clsplat_("train", CITY, "-o", folder / "run", "-q", "--config", folder / "run.toml",
+                      "--seed", 2, "-n", 2, "-r", 8, "--levels", 1, "--test-every", "none")
     assert result.exit_code == 0, result.output
-    (_, path, overwrite), (_, scene, options, device, progress) = calls
-    assert (str(path), overwrite, scene, device) == ("run", True, "scene city", "device cpu")
-    assert options == resolve({}, {"iterations": 50, "seed": 2, "device": "cpu"})
-    assert progress is not None and "look:    clsplat view run" in result.output
+    return result.output, folder / "run"
 
 
-def test_train_completes_what_a_choice_sets(calls):
-    result = clsplat_("train", "city", "-o", "run", "--preset", "paper", "--size", "L")
-    assert result.exit_code == 0, result.output
-    options = calls[-1][2]
-    assert options == resolve({}, {"preset": "paper", "size": "L"})
-    assert (options.convergence, options.size, options.levels[0]) == ("paper", "L", 5.0)
+def test_a_run_records_what_its_flags_its_file_and_a_choice_set(trained):
+    options = RunFolder.open(trained[1]).read_options()
+    assert (options["seed"], options["iterations"]) == (2, 2), "flags win"
+    assert (options["preset"], options["convergence"]) == ("paper", "paper")
+    assert trained[0] == "", "it is quiet"
 
 
-def test_quiet_prints_nothing(calls):
-    result = clsplat_("train", "city", "-o", "run", "-q")
-    assert (result.exit_code, result.output) == (0, "")
-    assert calls[-1][-1] is None
+@pytest.mark.parametrize("arguments, named", [
+    (["--seed", "6"], "--seed"), (["--levels", "2", "--levels", "1"], "--levels"),
+    (["-n", "900"], "--iterations"), (["--overwrite"], "--overwrite"),
+    (["--up", "0", "0", "1"], "--up")])
+def test_resume_refuses_another_run(trained, arguments, named):
+    before = (trained[1] / "checkpoint.npz").read_bytes()
+    result = clsplat_("train", CITY, "-o", trained[1], "--resume", *arguments)
+    assert result.exit_code == 2 and result.stderr.startswith(f"error: {named}: ")
+    assert (trained[1] / "checkpoint.npz").read_bytes() == before
 
 
-def test_resume_uses_the_stored_options(calls):
-    result = clsplat_("train", "city", "-o", "run", "--resume", "--checkpoint-every", 10)
-    assert result.exit_code == 0, result.output
-    assert [call[0] for call in calls] == ["open", "resume"]
-    stored = resolve({}, {"iterations": 800, "seed": 5, "device": "stored", "eval_at": (9,),
-                          "preset": "release", "sphere_shrink": 0.5, "checkpoint_every": 10})
-    assert calls[1][2] == stored and stored.stop_at == 0
-    assert calls[1][1] == "scene city" and calls[1][3] == "device stored"
+@pytest.mark.parametrize("arguments", [
+    (CITY, "--sh-degree", 9), (CITY, "--schedules", "sig,constant", "--view"), ()], ids=str)
+def test_what_cannot_be_trained_leaves_no_folder(tmp_path, arguments):
+    result = clsplat_("train", *arguments, "-o", tmp_path / "run")
+    assert result.exit_code == 2 and not (tmp_path / "run").exists()
 
 
-def test_a_view_is_for_one_training(calls):
-    result = clsplat_("train", "city", "-o", "run", "--schedules", "sig,constant", "--view")
-    assert result.exit_code == 2 and result.stderr.startswith("error: --view: ") and not calls
-
-
-def test_resume_needs_no_scene(calls):
-    result = clsplat_("train", "--resume", "-o", "run")
-    assert result.exit_code == 0, result.output
-    assert calls[1][:2] == ("resume", "scene recorded")
-    result = clsplat_("train", "-o", "run")
-    assert result.exit_code == 2 and "SCENE" in result.stderr
+def test_up_is_not_asked_for_where_the_earth_is_known(tmp_path):
+    """Maps and tiles of a run so trained would be turned against the earth."""
+    scene = write_scene(tmp_path / "town")
+    write_georeference(scene, Georeference("EPSG:32632", (5e5, 5.3e6, 200.0), "made", 0.1))
+    result = clsplat_("train", scene, "-o", tmp_path / "run", "--up", 0, 0.1, 1)
+    assert result.exit_code == 2 and "so its z axis points up" in result.stderr, result.output
 
 
 @pytest.mark.parametrize("choice", [{"schedule": "dash"}, {"preset": "paper", "levels": (2, 1)},
@@ -223,22 +159,6 @@ def test_a_record_resolves_to_itself(choice):
     record = json.loads(json.dumps({"scene": "city", **dataclasses.asdict(options)}))
     assert resumed_options(record, {}) == options
     assert resumed_options(record, {"seed": 0, "stop_at": 7}).stop_at == 7
-
-
-@pytest.mark.parametrize("arguments, named", [
-    (["--seed", "6"], "--seed"), (["--schedule", "dash"], "--schedule"),
-    (["--levels", "2", "--levels", "1"], "--levels"), (["--time-budget", "9m"], "--time-budget"),
-    (["-n", "900"], "--iterations"), (["--overwrite"], "--overwrite"),
-    (["--config", "run.toml"], "--config"), (["--up", "0", "0", "1"], "--up")])
-def test_resume_refuses_another_run(calls, arguments, named):
-    result = clsplat_("train", "city", "-o", "run", "--resume", *arguments)
-    assert result.exit_code == 2 and result.stderr.startswith(f"error: {named}: ")
-    assert "resume" not in [call[0] for call in calls]
-
-
-def test_bad_options_leave_no_folder(calls):
-    assert clsplat_("train", "city", "-o", "run", "--sh-degree", 9).exit_code == 2
-    assert calls == []
 
 
 def test_export_names_the_formats_it_knows(tmp_path):
