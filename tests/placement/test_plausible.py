@@ -27,7 +27,7 @@ def test_no_mistake_is_believed(mistake):
     assert not found["believed", False]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_no_mistake_is_believed_often(mistake):
     found = judged(mistake, range(SEEDS))
