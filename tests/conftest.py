@@ -45,13 +45,14 @@ def pytest_generate_tests(metafunc):
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items):
-    """Of a test marked one_in(k), the fast suite runs every k-th of the cases that are not slow."""
+    """Of a test marked one_in(k), every k-th of the cases that are not slow runs for each change,
+    and all of them each night."""
     cases = Counter()
     for item in items:
         marker = item.get_closest_marker("one_in")
         if marker and not item.get_closest_marker("slow"):
             if cases[item.function] % marker.args[0]:
-                item.add_marker("slow")
+                item.add_marker("nightly")
             cases[item.function] += 1
 
 
