@@ -1,4 +1,4 @@
-"""The command line: what it calls, what it prints, how it fails. No device is needed."""
+"""The command line: what it calls, what it prints, how it fails."""
 
 import dataclasses
 import json
