@@ -13,7 +13,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.models.formats import read_model, write_model
-from clsplat.io.models.webp import encode_webp
+from clsplat.io.models.sog import encode_webp
 from clsplat.io.npz import read_npz
 from tests.io.models.test_ply import random_gaussians
 

@@ -88,7 +88,7 @@ def read_metadata(path: str | Path) -> PhotoMetadata:
 
     Parameters
     ----------
-    path : of the photo, or its encoded bytes.
+    path : of the photo.
 
     Raises
     ------
