@@ -100,11 +100,10 @@ def reach_of(places: ArrayLike) -> float:
 def neighbours(places: ArrayLike, count: int) -> Iterable[tuple[int, int]]:
     """Each of the places float[N, 2] with its nearest `count` ones; those of nan with none."""
     values = np.asarray(places, np.float64)
-    for index, place in enumerate(values):
-        distance = np.linalg.norm(values - place, axis=1)
-        distance[index] = np.nan
-        nearest = np.argsort(distance, kind="stable")[:count]  # nan comes last
-        yield from ((index, int(other)) for other in nearest if np.isfinite(distance[other]))
+    known = np.flatnonzero(np.isfinite(values).all(axis=1))
+    _, nearest = KDTree(values[known]).query(values[known], min(count + 1, len(known)))
+    return ((int(known[row]), int(known[other])) for row, others in enumerate(
+        nearest.reshape(len(known), -1)) for other in others if other != row)
 
 
 def sequence(count: int, reach: int) -> Iterable[tuple[int, int]]:

@@ -52,11 +52,7 @@ def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]]
 
 
 def _checked_names(path: str | Path, names: NDArray[Any]) -> list[str]:
-    try:
-        names_text = [str(name).encode().decode() for name in names]
-    except (SystemError, ValueError):  # numpy keeps code points that are not characters
-        raise InputError(f"{path}: an image name is not valid text; reconstruct the scene again"
-                         ) from None
+    names_text = list(map(str, names))
     for name in names_text:
         parts = PurePosixPath(name.replace("\\", "/"))
         if not parts.parts or parts.is_absolute() or ".." in parts.parts:
