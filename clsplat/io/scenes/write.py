@@ -33,8 +33,6 @@ def write_scene(folder: Path, scene: Scene, downscale: float = 1.0, linked: bool
     """
     make_folder(folder)
     write_placement(folder, scene)
-    encoded = {view.name for view in scene.views if downscale != 1 or view.levels or view.lens
-               or not isinstance(view.source, Path)}
     views = [replace(view, camera=view.camera.reduced(downscale)) for view in scene.views]
     known = (np.zeros((0, 2), int) if scene.observations is None else scene.observations)
     pixels = np.empty((len(known), 2))
@@ -46,14 +44,12 @@ def write_scene(folder: Path, scene: Scene, downscale: float = 1.0, linked: bool
         [replace(view, camera=view.camera.shifted(-scene.offset)) for view in views],
         scene.points + scene.offset, scene.colours,
         Tracks(known[:, 0], known[:, 1], pixels))
-    kept = [view if view.name not in encoded else
-            replace(view, source=b"", mask=None, depth=None if view.lens else view.depth)
-            for view in views]
-    for file, link in _files(folder, kept):
-        link_file(file, link, "symbolic" if linked else "copy")
     for view in views:
-        if view.name in encoded:
+        kept = downscale == 1 and isinstance(view.source, Path) and not (view.levels or view.lens)
+        if not kept:
             _write_encoded(folder, view, "png" if downscale == 1 and not view.lens else "jpg")
+        for file, place in _files(folder, view, kept):
+            link_file(file, place, "symbolic" if linked else "copy")
 
 
 def _write_encoded(folder: Path, view: View, suffix: str) -> None:
@@ -68,20 +64,24 @@ def _write_encoded(folder: Path, view: View, suffix: str) -> None:
         path.write_bytes(encode_image(pixels, form, QUALITY, path))
 
 
-def _files(folder: Path, views: Iterable[View]) -> Iterator[tuple[Path, Path]]:
-    """(photo, mask or depth map, its place in a folder), of those that are files."""
-    for view in views:
-        if isinstance(view.source, Path):
-            yield view.source, folder / "images" / view.name
-        if isinstance(view.mask, Path):
-            yield view.mask, folder / MASKS / f"{view.name}.png"
-        if view.depth:
-            yield view.depth, folder / DEPTH / f"{view.name}{view.depth.suffix}"
+def _files(folder: Path, view: View, photo: bool = True) -> Iterator[tuple[Path, Path]]:
+    """(photo, mask or depth map, its place in a folder), of those that are files.
+
+    Parameters
+    ----------
+    photo : whether photo and mask are among them; a map of a lens is of use with its photo only.
+    """
+    if photo and isinstance(view.source, Path):
+        yield view.source, folder / "images" / view.name
+    if photo and isinstance(view.mask, Path):
+        yield view.mask, folder / MASKS / f"{view.name}.png"
+    if view.depth and (photo or view.lens is None):
+        yield view.depth, folder / DEPTH / f"{view.name}{view.depth.suffix}"
 
 
 def link_again(folder: Path, views: Iterable[View]) -> None:
     """Replace the links of a folder to photos that were moved since."""
-    for file, link in _files(folder, views):
+    for file, link in (pair for view in views for pair in _files(folder, view)):
         if link.is_symlink() and not link.exists():
             try:
                 link.unlink()
