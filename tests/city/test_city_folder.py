@@ -54,8 +54,7 @@ def gaussians(scene):
 
 
 def exposures_of(scene):
-    return {view.name: Response(np.eye(3, 4) + 0.01 * i / 3, np.array([0.1, -0.2, i / 3, 1.5]),
-                               np.array([i / 7, -0.1]))
+    return {view.name: Response(np.eye(3, 4) + 0.01 * i / 3, np.array([0.1, -0.2, i / 3, 1.5]))
             for i, view in enumerate(scene.views[:10])}
 
 
