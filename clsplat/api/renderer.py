@@ -19,7 +19,7 @@ from clsplat.rendering import pipeline
 from clsplat.rendering.blend import MOST_CHANNELS
 from clsplat.rendering.slabs import OpenedRenderer, SlabFrame, gaussian_limit, open_model
 from clsplat.scene import NEAR_SHARE
-from clsplat.training.rooms import Rooms
+from clsplat.training.capacity import FrameCapacity
 
 IN_FLIGHT = 8  # frames that are enqueued before the first one is read
 
@@ -75,17 +75,17 @@ def _frames(opened: OpenedRenderer, rows: Any, cameras: list[Camera], model: Gau
     if len(cameras) == 1 or not isinstance(opened, pipeline.Renderer):
         yield from map(one, cameras)
         return
-    rooms = Rooms(opened)
+    capacity = FrameCapacity(opened)
     for begin in range(0, len(cameras), IN_FLIGHT):
         sent = []
         for camera in cameras[begin:begin + IN_FLIGHT]:
             size = camera.width, camera.height
-            if not rooms.knows(*size, depth):
-                rooms.enlarge(rows, opened.pack(camera), *size)
-            sent.append(one(camera, room=rooms.room(model.count, *size, depth)))
+            if not capacity.is_known(*size, depth):
+                capacity.grow(rows, opened.pack(camera), *size)
+            sent.append(one(camera, room=capacity.room(model.count, *size, depth)))
         for camera, frame in zip(cameras[begin:], sent):
             if frame.counts.download()[COUNT_FAILED]:
-                rooms.enlarge(rows, frame.camera, camera.width, camera.height)
+                capacity.grow(rows, frame.camera, camera.width, camera.height)
                 frame = one(camera)
             yield frame
 

@@ -1,9 +1,10 @@
-"""A time budget instead of a number of steps: the schedule is fitted to measured step times.
+"""A time budget in place of a number of steps: the schedule is fitted to measured step times.
 
 The number of steps is estimated repeatedly, from the measured time of a step at each level so far
 and from the steps that the schedule predicts; shares, rates and degrees of the schedule follow it.
 The budget is wall time from the start of `clsplat.training.loop.train`, with evaluations and files;
-the time of a step is that of training alone. `deadline.Deadline` applies the budget.
+the time of a step is that of training alone. `Deadline` applies the budget to a session, and goes
+back to a `Rollback` if the run ends too soon after what made its model worse.
 
 Opacity resets, new levels and growth make a model worse before they make it better. Each happens
 only if the time left allows the model to recover: measured on boruszyn (400 and 1500 steps of sig,
@@ -13,11 +14,27 @@ present level.
 """
 
 import math
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from clsplat.config.option import is_auto
 from clsplat.errors import InputError
+from clsplat.evaluation.views import METRICS, Metric, evaluate_views
+from clsplat.gaussians import LEARNED
+from clsplat.loss.image_loss import image_loss, loss_value
+from clsplat.options import seconds_of
+from clsplat.rendering.project import Rows
 from clsplat.schedule import Plan
+from clsplat.training.clock import Clock
+from clsplat.training.evaluator import EVALUATIONS
+from clsplat.training.model import checkpoint_bytes
+from clsplat.training.part import ViewPass
+from clsplat.training.session import Session
+from clsplat.training.step import Step
 
 ESTIMATE_SHARE = 0.005  # of the budget between two estimates
 NEWEST_WEIGHT = 0.5  # of the newest measurement in a level's step time
@@ -30,6 +47,7 @@ GROWTH_RECOVERY = 50  # steps that must be left after growth or a new level
 FAR_FROM_END = 20 * RESET_RECOVERY  # steps left, which no wrong estimate turns into a few
 EVALUATION_SHARE = 0.1  # of the budget at most
 MOST_OVERHEAD = 0.5  # share of the budget that all but training may take
+COMPARED_VIEWS = 4  # training views by which two models are compared
 
 
 class TimeBudget:
@@ -175,3 +193,155 @@ class TimeBudget:
         self.rate = state["rate"]
         self.change_seconds = state["change_seconds"]
         self.last_level = state["last_level"]
+
+
+class Deadline:
+    """Adapts the number of steps of a session to the time that its steps take.
+
+    Parameters
+    ----------
+    session : the state of the training.
+    clock : its time.
+    final_metrics : metrics of the last evaluation.
+
+    Attributes
+    ----------
+    budget : estimates the number of steps.
+    """
+
+    def __init__(self, session: Session, clock: Clock, final_metrics: Mapping[str, Metric]) -> None:
+        self.session, self.clock = session, clock
+        self._rollback: Rollback | None = None
+        options, view = session.options, session.test_views[:1]
+        each, last = 0.0, 0.0
+        for metrics in (METRICS, METRICS, final_metrics) if view else ():  # the first compiles
+            begin = time.perf_counter()
+            evaluate_views(session.renderer, session.model.rows, options.sh_degree, view,
+                           metrics=metrics)
+            each, last = last, time.perf_counter() - begin
+        self.budget = TimeBudget(
+            seconds_of(options.time_budget), each * len(session.test_views), clock.elapsed(),
+            self._checkpoint_bytes(), EVALUATIONS if is_auto(options.eval_every) else 1,
+            (last - each) * len(session.test_views))
+        self.note_change()
+
+    def begin(self) -> None:
+        """Measure steps from here on."""
+        self.budget.begin_steps(self.session.iteration, self.clock.trained())
+
+    def note_change(self) -> None:
+        """Note that the session has changed its level, for which photos were read."""
+        self.budget.note_change(self.session.photos.read_seconds, self.session.iteration,
+                                self.clock.trained())
+
+    def note_saved(self, seconds: float) -> None:
+        """Note the seconds that a checkpoint took."""
+        self.budget.note_saved(self._checkpoint_bytes(), seconds)
+
+    def _checkpoint_bytes(self) -> int:
+        return checkpoint_bytes(self.session.step.count, self.session.options.sh_degree)
+
+    def allowed(self, plan: Plan) -> Plan:
+        """The plan of the next step, without what the model could not recover from."""
+        session, budget = self.session, self.budget
+        changes = plan.level != session.level
+        if not (changes or plan.grows or plan.resets_opacity or budget.last_level is not None):
+            return plan
+        left = budget.left(plan.level, changes, self.clock.elapsed(),
+                           self._checkpoint_bytes())
+        plan = budget.allowed(plan, session.level, left)
+        if left < FAR_FROM_END and (plan.resets_opacity or plan.level != session.level):
+            self.keep()
+        return plan
+
+    def keep(self) -> None:
+        """Copy the model, in case the budget ends before it has recovered from the next step."""
+        step, iteration = self.session.step, self.session.iteration
+        if self._rollback is None or iteration >= self._rollback.iteration + RESET_RECOVERY:
+            self._rollback = Rollback(step, iteration)
+
+    def estimate(self) -> None:
+        """Fit the schedule to the time left, if an estimate is due."""
+        session, budget = self.session, self.budget
+        if not budget.is_due(self.clock.trained()):
+            return
+        session.device.finish()
+        budget.note_steps(session.iteration, session.level, self.clock.trained())
+        ahead = session.schedule.ahead(session.iteration)
+        if budget.last_level is not None:
+            ahead = [(budget.last_level, sum(steps for _, steps in ahead))]
+        session.lay_over(budget.steps(session.iteration, ahead, self.clock.elapsed(),
+                                      self._checkpoint_bytes()))
+
+    def rolled_back(self) -> int | None:
+        """Return to the model before the last opacity reset or change of level, if it was better.
+
+        This happens where the end came sooner than expected. Returns the step of that model, or
+        None.
+        """
+        session, kept, self._rollback = self.session, self._rollback, None
+        if not kept or session.iteration >= kept.iteration + RESET_RECOVERY:
+            return None
+        session.step.release()  # the copy may need the memory of frames
+        views = session.scoring_views()[:COMPARED_VIEWS]
+        return kept.iteration if kept.restore_if_better(session.step, views) else None
+
+    def state(self) -> dict[str, Any]:
+        """State for a checkpoint, of types that JSON has."""
+        return {**self.budget.state(), "iterations": self.session.options.iterations}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
+        self.budget.load(state)
+        self.session.lay_over(state["iterations"])
+
+
+class Rollback:
+    """Rows and moments of a model, in host memory.
+
+    Attributes
+    ----------
+    iteration : steps taken before the copy.
+    """
+
+    def __init__(self, step: Step, iteration: int) -> None:
+        model = step.model
+        self.iteration = iteration
+        model.catch_up()
+        self._gaussians, self._moments = model.download(), model.adam.download()
+
+    def restore_if_better(self, step: Step, samples: Sequence[ViewPass]) -> bool:
+        """Restore the copy if its loss is smaller than that of the present model.
+
+        Parameters
+        ----------
+        step : has the present model, and receives the copy.
+        samples : training views.
+
+        Returns
+        -------
+        Whether the copy was restored.
+        """
+        model = step.model
+        model.catch_up()
+        kept = {field.name: step.device.upload(self._gaussians.rows[field.name])
+                for field in LEARNED}
+        if not _loss(step, kept, samples) < _loss(step, model.rows, samples):
+            return False
+        model.adopt(self._gaussians)
+        model.adam.upload(*self._moments)
+        step.statistics.clear(model.count)
+        step.rows_changed()
+        return True
+
+
+def _loss(step: Step, rows: Rows, samples: Sequence[ViewPass]) -> float:
+    """The mean image loss of some views, without colour transforms."""
+    losses = []
+    for sample in samples:
+        photo, (_, height, width) = sample.photo, sample.photo.shape
+        frame = step.renderer.render(rows, sample.camera, width, height, step.options.sh_degree,
+                                     backdrop=sample.backdrop)
+        partials, _ = image_loss(step.device, frame.exposed, photo, step.options.ssim_weight)
+        losses.append(loss_value(partials, 3 * height * width, step.options.ssim_weight)[0])
+    return float(np.mean(losses))

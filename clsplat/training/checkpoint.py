@@ -13,8 +13,8 @@ from clsplat.io.reason import reason
 from clsplat.io.runs.run import CHECKPOINT, OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
 from clsplat.options import checked
+from clsplat.training.budget import Deadline
 from clsplat.training.clock import Clock
-from clsplat.training.deadline import Deadline
 from clsplat.training.recorder import broken
 from clsplat.training.session import Session
 

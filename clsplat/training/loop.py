@@ -28,22 +28,21 @@ from clsplat.io.scenes.read import fingerprint
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
 from clsplat.schedule import Plan
+from clsplat.training.budget import Deadline
 from clsplat.training.checkpoint import Checkpoint, Saved, saved_gaussians
 from clsplat.training.clock import Clock
-from clsplat.training.deadline import Deadline
 from clsplat.training.evaluator import Evaluator
 from clsplat.training.finish import draw_report, save_model, save_snapshot
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.part import Part, TrainingSample
 from clsplat.training.photos import THREADS, epoch_order, size_note
-from clsplat.training.progress import WARNING, SilentProgress, training_at
+from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Recorder, broken
 from clsplat.training.session import Session
 from clsplat.training.start.decisions import is_part_of_city
 from clsplat.training.start.scene_checks import find_warnings
 from clsplat.training.step import Measured
-from clsplat.training.watcher import Watcher
 
 SAVE_SECONDS = 30.0  # between checkpoints: so much work a kill may cost
 SAVE_SHARE = 1 / 20  # of the time, at most, that checkpoints take

@@ -1,13 +1,18 @@
-"""The interface of a progress line, which shows nothing."""
+"""The interfaces of what shows a training to a user: a progress line, and a view of its model."""
+
+from __future__ import annotations
 
 import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from clsplat.io.lock import note_work
 from clsplat.schedule.plan import size_at
+
+if TYPE_CHECKING:
+    from clsplat.training.session import Session
 
 WARNING = "warning: "  # begins a message that is always shown
 NOTE_SECONDS = 10.0
@@ -66,3 +71,13 @@ class NotedProgress(SilentProgress):
         if time.monotonic() - self._noted >= NOTE_SECONDS:
             self._noted = time.monotonic()
             note_work(self._folder)
+
+
+class Watcher(Protocol):
+    """Looks at a training between its steps; what it does is no part of the time of training."""
+
+    def is_due(self) -> bool:
+        """Whether `draw` is to be called now; must not wait."""
+
+    def draw(self, session: Session) -> None:
+        """Look at the model, and change nothing."""

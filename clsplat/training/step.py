@@ -28,9 +28,9 @@ from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Gradients
 from clsplat.schedule import Plan, Schedule
 from clsplat.schedule.growth import Growth
+from clsplat.training.capacity import FrameCapacity
 from clsplat.training.model import Model
 from clsplat.training.part import Inputs, Now, Part, TrainingSample, ViewPass
-from clsplat.training.rooms import Rooms
 from clsplat.training.skipped_gradients import SkippedGradients
 from clsplat.training.units import Unit, Units
 
@@ -86,7 +86,7 @@ class Step:
         self._statistics = Statistics(self.device, model.count)
         self._skipping = [part.skipped for part in parts if part.skipped is not None]
         self.skipped = SkippedGradients(renderer.skipped, *self._skipping)
-        self.units, self._rooms = Units(self.device), Rooms(renderer)
+        self.units, self._capacity = Units(self.device), FrameCapacity(renderer)
         self._graphs: dict[Any, Graph] = {}
         self._batch: BatchMean | None = None
         self._recorded_for: tuple[Any, ...] = 4 * (None,)
@@ -193,7 +193,7 @@ class Step:
         self.device.trim()
         camera = self.pass_of(given.sample, given.inputs).camera
         _, height, width = given.sample.photo.shape
-        self._rooms.enlarge(self._model.rows, camera, width, height)
+        self._capacity.grow(self._model.rows, camera, width, height)
 
     def pass_of(self, sample: TrainingSample, inputs: Mapping[Part, Inputs], view: int | None = None
                 ) -> ViewPass:
@@ -234,9 +234,9 @@ class Step:
         else:
             _, height, width = sample.photo.shape
             with_depth = any(part.needs_depth for part in parts)
-            if not self._rooms.knows(width, height, with_depth):
+            if not self._capacity.is_known(width, height, with_depth):
                 self._make_room(given)
-            room = self._rooms.room(self.count, width, height, with_depth)
+            room = self._capacity.room(self.count, width, height, with_depth)
             if not self._graphs:  # measuring left blocks of other sizes than frames need
                 self.device.trim()
             with self.device.record(**inputs) as graph:
@@ -337,10 +337,10 @@ class Step:
         After growth they are: the margin of the room is more than what a round usually adds.
         """
         counts, most = self.settle(), [COUNT_MOST_VISIBLE, COUNT_MOST_PAIRS]
-        self._rooms.forget(*(counts[most].tolist() if is_alike else ()))
+        self._capacity.reset(*(counts[most].tolist() if is_alike else ()))
         counts[most] = 0
         self.units.counts.write(counts)
-        self.units.hurry()
+        self.units.poll_soon()
         self._graphs.clear()
         self.device.trim()  # frames will need blocks of other sizes
 

@@ -50,7 +50,8 @@ class Units:
     Attributes
     ----------
     counts : uint[FRAME_COUNTS], for all frames of the units.
-    most_pending : units after which `submit` waits for the first half of them; fewer after `hurry`.
+    most_pending : units after which `submit` waits for the first half of them; fewer after
+        `poll_soon`.
     """
 
     def __init__(self, device: Device) -> None:
@@ -59,7 +60,7 @@ class Units:
         self._pending, self._done = list[Unit](), 0
         self._reading: Reading | None = None
         self._since_reading = 0
-        self.hurry()
+        self.poll_soon()
 
     def submit(self, unit: Unit) -> None:
         """Run a unit."""
@@ -74,8 +75,8 @@ class Units:
         self._reading, self._since_reading = self.counts.reading(), 0
         self._patience *= 2
 
-    def hurry(self) -> None:
-        """Look at the counts soon, as the room is new: units after one that failed are in vain."""
+    def poll_soon(self) -> None:
+        """Look at the counts soon: all that is queued behind a frame that failed is redone."""
         self._patience = FEW_PENDING
 
     def confirm(self) -> NDArray[np.uint32]:
@@ -86,7 +87,7 @@ class Units:
             assert self._pending, "a frame failed that is of no unit"
             read[[COUNT_FAILED, COUNT_NEEDED_VISIBLE, COUNT_NEEDED_PAIRS]] = 0
             self.counts.write(read)
-            self.hurry()
+            self.poll_soon()
             self._pending[0].make_room()
             for unit in self._pending:
                 unit.work()

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from clsplat.city.block import decided_by, options_of_blocks
 from clsplat.cli.main import main
+from clsplat.densify import round as growth
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.runs.city import CityFolder
@@ -24,7 +25,6 @@ from clsplat.partition.region import Region, Space
 from clsplat.response import Response
 from clsplat.schedule import OURS
 from clsplat.schedule.constant import Constant
-from clsplat.training import growth
 from clsplat.training.parts.frozen_rows import FrozenRows
 from tests.data.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, trained
 

@@ -187,7 +187,7 @@ def measured_peak(device, monkeypatch):
     {"schedule": "sig", "levels": (2.0, 1.0), "downscale": 2.0, "iterations": 600},
     {"schedule": "taming", "downscale": 4.0, "iterations": 240, "taming_budget": 4.0}], ids=str)
 def test_a_run_takes_what_was_foretold(tmp_path, item_device, monkeypatch, options):
-    """Memory, which has the margins of rooms (training/rooms.py), within 20 %; of the time no more
+    """Memory, which has the margins of training/capacity.py, within 20 %; of the time no more
     is asked for than a busy machine can keep. What the forms allocate is counted above."""
     scene = read_scene(CITY)
     options = {"exposure": "off", "reset_every": 0, "prune_opacity": 0.005, "densify_from": 100,

@@ -240,7 +240,7 @@ def test_training_in_bands_ends_in_the_same_bytes(float_device, tmp_path, monkey
         return bands
 
     monkeypatch.setattr("clsplat.rendering.pipeline.pair_limit", lambda *_: 500)
-    for module in ("clsplat.rendering.pipeline", "clsplat.training.rooms"):
+    for module in ("clsplat.rendering.pipeline", "clsplat.training.capacity"):
         monkeypatch.setattr(f"{module}.choose_bands", chosen)
     banded = trained(tmp_path / "banded", city, float_device, **changes)
     assert len(numbers) > 4 and min(numbers) >= 4, numbers

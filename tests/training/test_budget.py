@@ -18,9 +18,9 @@ from clsplat.training.budget import (
     REPORT_SECONDS,
     RESERVE_SHARE,
     RESET_RECOVERY,
+    Deadline,
     TimeBudget,
 )
-from clsplat.training.deadline import Deadline
 from clsplat.training.session import Session
 
 COUNT = 100_000  # gaussians at the start

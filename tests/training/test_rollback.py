@@ -6,8 +6,8 @@ import pytest
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.optimise.numpy_adam import NumpyAdam
+from clsplat.training.budget import Rollback
 from clsplat.training.loop import Training
-from clsplat.training.rollback import Rollback
 from tests.data.tiny_training import CITY, options_of
 
 OPTIONS = {"iterations": 40, "densify_from": 1, "densify_every": 5, "sh_degree": 1, "sh_every": 1}

@@ -7,7 +7,8 @@ import pytest
 
 from clsplat.constants import COUNT_DONE, COUNT_FAILED, COUNT_NEEDED_PAIRS
 from clsplat.io.scenes.read import read_scene
-from clsplat.training import growth, photos, rooms
+from clsplat.training import capacity, photos
+from clsplat.training import step as steps
 from clsplat.training.model import Model
 from clsplat.training.step import Step
 from clsplat.training.units import Unit, Units
@@ -37,19 +38,19 @@ def city():
 @pytest.fixture
 def repeated(monkeypatch):
     """A list of the sizes of frames that lacked room."""
-    sizes, enlarge = [], rooms.Rooms.enlarge
+    sizes, enlarge = [], capacity.FrameCapacity.grow
 
     def noted(self, rows, camera, *size):
-        if self.knows(*size, with_depth=False):
+        if self.is_known(*size, with_depth=False):
             sizes.append(size)
         enlarge(self, rows, camera, *size)
-    monkeypatch.setattr(rooms.Rooms, "enlarge", noted)
+    monkeypatch.setattr(capacity.FrameCapacity, "grow", noted)
     return sizes
 
 
 def scarce(monkeypatch, repeated):
     """Room for a third of what the first view needs, and later for what has been seen."""
-    choose, forget = rooms.Rooms.room, rooms.Rooms.forget
+    choose, forget = capacity.FrameCapacity.room, capacity.FrameCapacity.reset
     lacked_before = [0]
 
     def forgotten(*arguments):
@@ -59,11 +60,11 @@ def scarce(monkeypatch, repeated):
     def room(*arguments):
         with monkeypatch.context() as patch:
             if len(repeated) == lacked_before[0]:
-                patch.setattr(rooms, "MARGIN", 0.3)
+                patch.setattr(capacity, "MARGIN", 0.3)
             return choose(*arguments)
-    monkeypatch.setattr(rooms, "MARGIN", 1.0)
-    monkeypatch.setattr(rooms.Rooms, "forget", forgotten)
-    monkeypatch.setattr(rooms.Rooms, "room", room)
+    monkeypatch.setattr(capacity, "MARGIN", 1.0)
+    monkeypatch.setattr(capacity.FrameCapacity, "reset", forgotten)
+    monkeypatch.setattr(capacity.FrameCapacity, "room", room)
 
 
 @pytest.mark.slow
@@ -85,7 +86,7 @@ def same_bytes(device, city, tmp_path, monkeypatch, repeated, name):
     for margin in ("ample", "scarce"):
         repeated.clear()
         if margin == "ample":
-            monkeypatch.setattr(rooms, "MARGIN", 3.0)
+            monkeypatch.setattr(capacity, "MARGIN", 3.0)
         else:
             scarce(monkeypatch, repeated)
         run = trained(tmp_path / margin, scene, device, **TRAININGS[name])
@@ -153,7 +154,7 @@ def test_the_number_of_units_may_pass_32_bits(item_device):
 def test_growth_decides_by_rows_that_have_caught_up(item_device, city, tmp_path, monkeypatch):
     """Adam leaves rows behind that no view sees."""
     current, behind = [], []
-    candidates, densify = growth.Candidates, Step.densify
+    candidates, densify = steps.Candidates, Step.densify
 
     def noted(*arguments):
         current.append(models[-1].adam.is_current)
@@ -165,7 +166,7 @@ def test_growth_decides_by_rows_that_have_caught_up(item_device, city, tmp_path,
         return densify(own, *arguments)
 
     models = []
-    monkeypatch.setattr(growth, "Candidates", noted)
+    monkeypatch.setattr(steps, "Candidates", noted)
     monkeypatch.setattr(Step, "densify", before)
     trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 35})
     assert len(current) > 1 and all(current) and any(behind)

@@ -1,4 +1,4 @@
-"""The room that the arrays of training frames have, from what views were seen to need."""
+"""Capacities of the buffers of frames, chosen from the largest frames that were seen so far."""
 
 import math
 from collections.abc import Iterable
@@ -14,7 +14,7 @@ from clsplat.rendering.project import Rows
 MARGIN = 1.4  # of room over the most that was seen, as views differ
 
 
-class Rooms:
+class FrameCapacity:
     """Chooses a Room for each image size.
 
     Sizes have the same room, so that their frames use the same memory; but for those that need
@@ -31,7 +31,7 @@ class Rooms:
         self._most_pairs: dict[tuple[int, int], int] = {}  # of the sizes that were measured
         self._most_tiles: dict[tuple[int, int], NDArray[np.int64]] = {}  # of each tile, any view
 
-    def forget(self, most_visible: float = 0, most_pairs: float = 0) -> None:
+    def reset(self, most_visible: float = 0, most_pairs: float = 0) -> None:
         """Choose anew from now on.
 
         Parameters
@@ -43,7 +43,7 @@ class Rooms:
         self._most_visible = math.ceil(most_visible)
         self._expected_pairs = math.ceil(most_pairs)
 
-    def knows(self, width: int, height: int, with_depth: bool) -> bool:
+    def is_known(self, width: int, height: int, with_depth: bool) -> bool:
         """Whether a room can be chosen: a frame of the size was measured, or what it needs is known
         from larger ones and does not need bands."""
         limit = self.renderer.most_pairs(width, height, with_depth)
@@ -69,7 +69,7 @@ class Rooms:
         tiles = max(map(len, self._most_tiles.values()), default=0)
         return Room(visible, pairs_room(pairs, tiles, limit))
 
-    def enlarge(self, rows: Rows, camera: Array, width: int, height: int) -> None:
+    def grow(self, rows: Rows, camera: Array, width: int, height: int) -> None:
         """Make room for a frame, which is measured, and all that were measured before."""
         size = width, height
         visible, tiles = self.renderer.measure(rows, camera, width, height)

@@ -6,31 +6,31 @@ import numpy as np
 import pytest
 
 from clsplat.rendering.pipeline import Room
-from clsplat.training.rooms import MARGIN, Rooms
+from clsplat.training.capacity import MARGIN, FrameCapacity
 
 ROWS, SIZE = {"positions": np.zeros((1000, 3))}, (64, 48)
 
 
 def rooms_of(limit=10**6):
     """Rooms of cameras that are what they see: (visible gaussians, pairs of each tile)."""
-    return Rooms(SimpleNamespace(measure=lambda rows, camera, width, height: camera,
+    return FrameCapacity(SimpleNamespace(measure=lambda rows, camera, width, height: camera,
                                  most_pairs=lambda width, height, with_depth: limit))
 
 
 def enlarge(rooms, visible, tiles, size=SIZE):
     """Measure a frame, and return the room of its size."""
-    rooms.enlarge(ROWS, (visible, np.array(tiles)), *size)
+    rooms.grow(ROWS, (visible, np.array(tiles)), *size)
     return room_of(rooms, size)
 
 
 def room_of(rooms, size=SIZE):
-    assert rooms.knows(*size, False)
+    assert rooms.is_known(*size, False)
     return rooms.room(1000, *size, False)
 
 
 def test_there_is_room_for_the_most_of_each_frame():
     rooms = rooms_of()
-    assert not rooms.knows(*SIZE, False)
+    assert not rooms.is_known(*SIZE, False)
     assert enlarge(rooms, 100, [50, 30]) == Room(int(MARGIN * 100), int(MARGIN * 80) + 2)
     assert enlarge(rooms, 500, [10, 40]) == Room(int(MARGIN * 500), int(MARGIN * 80) + 2)
 
@@ -38,10 +38,10 @@ def test_there_is_room_for_the_most_of_each_frame():
 def test_a_smaller_size_needs_no_measurement_and_a_larger_one_does():
     rooms = rooms_of()
     enlarge(rooms, 100, [50, 30])
-    assert rooms.knows(48, 63, False) and not rooms.knows(49, 64, False)
+    assert rooms.is_known(48, 63, False) and not rooms.is_known(49, 64, False)
     small = rooms_of(1000)
-    small.forget(100, 1001)
-    assert not small.knows(*SIZE, False), "a frame that may need bands is measured"
+    small.reset(100, 1001)
+    assert not small.is_known(*SIZE, False), "a frame that may need bands is measured"
     assert enlarge(small, 10, [1, 1]).bands == (range(0, 2),)
 
 
@@ -56,12 +56,12 @@ def test_sizes_have_the_same_room_so_that_their_frames_use_the_same_memory():
 def test_what_is_expected_counts_as_seen():
     rooms = rooms_of()
     enlarge(rooms, 700, [900])
-    rooms.forget(200.4, 1000.4)
+    rooms.reset(200.4, 1000.4)
     assert room_of(rooms) == Room(
         pytest.approx(MARGIN * 201, abs=1), pytest.approx(MARGIN * 1001 + 1, abs=1))
     assert enlarge(rooms, 100, [80]).pairs == pytest.approx(MARGIN * 1001 + 1, abs=1)
-    rooms.forget()
-    assert not rooms.knows(*SIZE, False)
+    rooms.reset()
+    assert not rooms.is_known(*SIZE, False)
     assert enlarge(rooms, 100, [80]) == Room(140, 113)
 
 
@@ -70,6 +70,6 @@ def test_no_more_room_than_gaussians_and_than_the_limit():
     rooms = rooms_of(100)
     banded = enlarge(rooms, 900, [60, 70, 20, 90])
     assert banded.bands == (range(0, 1), range(1, 3), range(3, 4)) and banded.pairs == 100
-    assert not rooms.knows(32, 24, False), "it may need bands, too"
+    assert not rooms.is_known(32, 24, False), "it may need bands, too"
     assert enlarge(rooms, 1, [40], (32, 24)) == Room(1000, int(MARGIN * 40) + 4)
     assert room_of(rooms) == banded
