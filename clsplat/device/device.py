@@ -16,7 +16,6 @@ import pyopencl as cl
 import pyopencl.tools
 from numpy.typing import ArrayLike, DTypeLike
 
-from clsplat.constants import LANES
 from clsplat.device import binaries
 from clsplat.device.arena import Arena, Block
 from clsplat.device.array import Array
@@ -24,6 +23,7 @@ from clsplat.device.capabilities import probe_capabilities, probe_wave
 from clsplat.device.graph import Graph
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Defines, Kernel
 from clsplat.device.source import define_options, kernel_source, words_of
+from clsplat.device.tuning import tuning_of
 from clsplat.errors import TOO_LARGE, DeviceError, OutOfDeviceMemory
 
 SMALLEST_BYTES = 64  # of a buffer
@@ -48,8 +48,8 @@ class Device:
     real : the type of floating-point numbers in this precision.
     tile : pixels, the width and height of a tile.
     wave : lanes that run in step, 32 or 64: the group form's pixels of a sub-tile.
-    bucket : pairs for which one group of the blend adjoint works, a multiple of 32.
-    adjoint_group : lanes of that group, a multiple of `wave`.
+    item_runs, group_size, scan_group, bucket : as for `Tuning`, as far as the device allows.
+    adjoint_group : lanes of a group of the blend adjoint, a multiple of `wave`.
     largest_buffer : bytes.
     peak_bytes : the largest value that `memory_bytes` had whenever it was read or grew.
     build_seconds : time spent on compiling so far.
@@ -72,12 +72,15 @@ class Device:
         self.capabilities = probe_capabilities(self.context, handle)
         self.compute_units = handle.max_compute_units
         self.largest_buffer = handle.max_mem_alloc_size
-        self.group_size = min(128, handle.max_work_group_size)
-        # a group owns a 16 x 16 tile, or 8 x 8 where groups are small; the item form's rows are 16
-        self.tile = 16 if self.form == "item" or handle.max_work_group_size >= 256 else 8
-        self.wave = self.adjoint_group = probe_wave(self.context, handle)
-        self.bucket = 64
-        self.scan_group = min(LANES, 1 << handle.max_work_group_size.bit_length() - 1)
+        self.wave = probe_wave(self.context, handle)
+        tuning = tuning_of("cpu" if self.is_cpu else "gpu", self.wave)
+        most_items = handle.max_work_group_size
+        self.item_runs, self.bucket = tuning.item_runs, tuning.bucket
+        self.group_size = min(tuning.group_size, most_items)
+        self.adjoint_group = tuning.adjoint_waves * self.wave
+        self.scan_group = min(tuning.scan_group, 1 << most_items.bit_length() - 1)
+        # a lane owns a pixel of a tile, which is smaller where groups are; the item form's is fixed
+        self.tile = tuning.tile if self.form == "item" or most_items >= tuning.tile**2 else 8
         # an immediate allocation fails now, and not at a launch
         self._pool = Arena(cl.tools.ImmediateAllocator(self.queue))
         self._persistent = LiveBytes()

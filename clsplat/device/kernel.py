@@ -31,7 +31,6 @@ EITHER = {"moment": np.dtype(np.uint16)}  # arrays of this type in some builds, 
 DEVICE_SIZES = {  # name -> attribute of Device
     "TILE": "tile", "SCAN_GROUP": "scan_group", "WAVE": "wave", "BUCKET": "bucket",
     "ADJOINT_GROUP": "adjoint_group"}
-RUNS_A_CORE = 4  # of the item form: work-items a core, as cores are not equally busy
 
 
 class Only(NamedTuple):
@@ -277,7 +276,7 @@ class Contract:
             return units * group, group
         if self.launch.kind == "each":
             if device.form == "item":
-                return min(units, RUNS_A_CORE * device.compute_units), 1
+                return min(units, device.item_runs * device.compute_units), 1
             group = device.group_size
         return -(-units // group) * group, group
 

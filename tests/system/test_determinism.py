@@ -6,7 +6,7 @@ Left out, because float sums are then added in another order: the kernel form an
 
 import pytest
 
-from clsplat.device import Device, kernel
+from clsplat.device import Device
 from clsplat.rendering.bands import choose_bands
 from tests.data.tiny_training import LEVELLED, model_digest, records, trained
 
@@ -58,8 +58,7 @@ def test_many_steps(float_device, city, tmp_path, monkeypatch):
         numbers = cut_in_bands(patch, 0.3)
         assert digest(tmp_path / "small", city, small, **SHORT) == first
     assert 2 < min(numbers), set(numbers)
-    large = cut_otherwise(float_device, group_size=256, compute_units=13)
-    monkeypatch.setattr(kernel, "RUNS_A_CORE", 7)
+    large = cut_otherwise(float_device, group_size=256, compute_units=13, item_runs=7)
     assert digest(tmp_path / "large", city, large, **SHORT) == first
 
 
@@ -69,6 +68,5 @@ def test_many_steps(float_device, city, tmp_path, monkeypatch):
 def test_the_whole_method(item_device, city, tmp_path, monkeypatch, changes):
     """Levels, exposures, adjacent photos, scores, relocation and random steps."""
     first = digest(tmp_path / "first", city, item_device, **changes)
-    monkeypatch.setattr(kernel, "RUNS_A_CORE", 3)
-    other = cut_otherwise(item_device, group_size=32, scan_group=64, compute_units=5)
+    other = cut_otherwise(item_device, group_size=32, scan_group=64, compute_units=5, item_runs=3)
     assert digest(tmp_path / "other", city, other, **changes) == first
