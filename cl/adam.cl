@@ -21,7 +21,7 @@
 // but for a relative error of at most s (x / (1 + x))^2, x the mean of epsilon / (correction_k
 // sqrt(v_k)) over the sum and s its relative variance, 0.13 at t0 = 3, 3e-4 at 300, 3e-5 at 3000:
 // with x = 1e-15 / 1e-12 that is below 1e-6, and gradients are rarely smaller. adam_step adds its
-// step to the sums: coefficients: real[CATCH_UP_EVERY, LAG_TERMS], row t0 % CATCH_UP_EVERY: C of
+// step to the sums: coefficients: real[CATCH_UP_EVERY, LAZY_TERMS], row t0 % CATCH_UP_EVERY: C of
 // each field, and C and D of a rate of 1. Every CATCH_UP_EVERY steps all rows catch up.
 #include "real.h"
 #include "each.h"
@@ -36,21 +36,21 @@ enum {
 };
 typedef char every_column_has_a_moment[SMALL_TURN + 4 == SMALL_COLUMNS ? 1 : -1];
 enum { // columns of coefficients: C of the fields in their order
-    LAG_POSITIONS, LAG_SH_CONSTANT, LAG_SH_REST, LAG_OPACITY, LAG_SCALES, LAG_TURNS,
-    LAG_C, // of a rate of 1
-    LAG_D
+    LAZY_POSITIONS, LAZY_SH_CONSTANT, LAZY_SH_REST, LAZY_OPACITY, LAZY_SCALES, LAZY_TURNS,
+    LAZY_C, // of a rate of 1
+    LAZY_D
 };
-typedef char every_term_has_a_column[LAG_D + 1 == LAG_TERMS ? 1 : -1];
+typedef char every_term_has_a_column[LAZY_D + 1 == LAZY_TERMS ? 1 : -1];
 
 // What a row has missed: by what its moments decay, and epsilon D / C. keeps: whether the moments
 // are stored, too.
 typedef struct {
     real decay1, decay2, epsilon;
     bool keeps;
-} Lag;
+} LazyState;
 
-// The parameter after a step and after coasting, of `S` columns at once; none is one. *first and
-// *second are the moments, which a step changes.
+// The parameter after a step, and after steps without a gradient, of `S` columns at once; none is
+// one. *first and *second are the moments, which a step changes.
 #define DEFINE_MOVES(S)                                                                            \
     inline real##S stepped##S(real##S parameter, real##S g, real rate, real correction,            \
                               real##S *first, real##S *second)                                     \
@@ -59,15 +59,15 @@ typedef struct {
         *second += (real)ONE_MINUS_BETA2 * (g * g - *second);                                      \
         return parameter - rate * *first / (sqrt(*second) * correction + (real)ADAM_EPSILON);      \
     }                                                                                              \
-    inline real##S coasted##S(real##S parameter, real epsilon, real distance, real##S first,       \
+    inline real##S decayed_step##S(real##S parameter, real epsilon, real distance, real##S first,  \
                               real##S second)                                                      \
     {                                                                                              \
         return parameter - distance * first / (sqrt(second) + epsilon);                            \
     }
 DEFINE_MOVES()
 
-// Add a step to row i of the sums of C and D. rates: of the fields in the order of LAG_..., divided
-// by 1 - beta1^t, and twice 1 / (1 - beta1^t).
+// Add a step to row i of the sums of C and D. rates: of the fields in the order of LAZY_...,
+// divided by 1 - beta1^t, and twice 1 / (1 - beta1^t).
 inline void add_terms(uint i, uint now, real8 rates, real correction,
                       __global real *restrict coefficients)
 {
@@ -82,15 +82,15 @@ inline void add_terms(uint i, uint now, real8 rates, real correction,
 }
 
 // |m| / sqrt(v) of whatever gradients, at most (1 - beta1) / sqrt((1 - beta2)(1 - beta1^2 / beta2))
-// by Cauchy and Schwarz, 7.27, and a hair more; times C it bounds how far a column may coast.
-#define MOST_M_BY_V 7.4
+// by Cauchy and Schwarz, 7.27, and a hair more; times C it bounds how far a column may drift.
+#define MAX_MOMENTUM_RATIO 7.4
 
 #define MOST_CUTOFF 11.1 // 2 ln(ALPHA_STEPS), of an opacity of 1, and a hair more
 typedef char the_cutoff_is_high_enough[ALPHA_STEPS <= 255 ? 1 : -1];
 
-// Whether the image may show a row that lags: at least what cull (cull.cl) finds once the row
+// Whether the image may show a stale row: at least what cull (cull.cl) finds once the row
 // has caught up, from its stale position in the camera's frame, its stale logarithm of its largest
-// scale, and the sums C of positions and scales, which bound how far these may coast. A vreal at a
+// scale, and the sums C of positions and scales, which bound how far these may drift. A vreal at a
 // time.
 inline vmask may_be_seen(__global const real *camera, vreal x, vreal y, vreal z, vreal log_scale,
                          vreal position_sum, vreal scale_sum)
@@ -98,28 +98,29 @@ inline vmask may_be_seen(__global const real *camera, vreal x, vreal y, vreal z,
     __global const real *focal = camera + CAMERA_FOCAL, *centre = camera + CAMERA_CENTRE;
     __global const real *size = camera + CAMERA_SIZE, *ratios = camera + CAMERA_RATIOS;
     const real near = camera[CAMERA_NEAR], low_pass = camera[CAMERA_LOW_PASS];
-    const vreal far_off = (real)(1.7321 * MOST_M_BY_V) * position_sum, nearest = z - far_off;
+    const vreal max_drift = (real)(1.7321 * MAX_MOMENTUM_RATIO) * position_sum;
+    const vreal nearest = z - max_drift;
     const vreal place_x = x * (1 / z), place_y = y * (1 / z);
     const vreal closeness_x = focal[0] * (1 / nearest), closeness_y = focal[1] * (1 / nearest);
     const real ratio_x = fmax(fabs(ratios[0]), fabs(ratios[2]));
     const real ratio_y = fmax(fabs(ratios[1]), fabs(ratios[3]));
-    const vreal scale = exp(log_scale + (real)MOST_M_BY_V * scale_sum);
+    const vreal scale = exp(log_scale + (real)MAX_MOMENTUM_RATIO * scale_sum);
     const vreal reach_x = closeness_x * scale, reach_y = closeness_y * scale;
     const vreal extent_x =
         sqrt((real)MOST_CUTOFF * (reach_x * reach_x * (1 + ratio_x * ratio_x) + low_pass)) +
-        closeness_x * far_off * (1 + fabs(place_x));
+        closeness_x * max_drift * (1 + fabs(place_x));
     const vreal extent_y =
         sqrt((real)MOST_CUTOFF * (reach_y * reach_y * (1 + ratio_y * ratio_y) + low_pass)) +
-        closeness_y * far_off * (1 + fabs(place_y));
+        closeness_y * max_drift * (1 + fabs(place_y));
     const vreal mean_x = focal[0] * place_x + centre[0], mean_y = focal[1] * place_y + centre[1];
     const vmask inside = TO_MASK(mean_x + extent_x > 0) & TO_MASK(mean_y + extent_y > 0) &
                          TO_MASK(mean_x - extent_x < size[0]) &
                          TO_MASK(mean_y - extent_y < size[1]);
-    return TO_MASK(z + far_off > near) & (TO_MASK(nearest <= near) | inside);
+    return TO_MASK(z + max_drift > near) & (TO_MASK(nearest <= near) | inside);
 }
 
-// Whether a row lags. A frozen one stays, and has missed nothing.
-inline bool lags(uint row, uint now, bool keeps, bool has_frozen, __global const uint *frozen,
+// Whether a row is stale. A frozen one stays, and has missed nothing.
+inline bool is_stale(uint row, uint now, bool keeps, bool has_frozen, __global const uint *frozen,
                  __global uint *last_step)
 {
     if (last_step[row] == now)
@@ -131,16 +132,16 @@ inline bool lags(uint row, uint now, bool keeps, bool has_frozen, __global const
     return false;
 }
 
-inline Lag lag_of(uint last, uint now, bool keeps, __global const real *coefficients)
+inline LazyState lazy_state(uint last, uint now, bool keeps, __global const real *coefficients)
 {
-    __global const real *c = coefficients + (last % CATCH_UP_EVERY) * LAG_TERMS;
+    __global const real *c = coefficients + (last % CATCH_UP_EVERY) * LAZY_TERMS;
     const real missed = now - last;
-    Lag lag;
-    lag.decay1 = exp(missed * (real)LOG_BETA1);
-    lag.decay2 = exp(missed * (real)LOG_BETA2);
-    lag.epsilon = (real)ADAM_EPSILON * (c[LAG_D] / c[LAG_C]);
-    lag.keeps = keeps;
-    return lag;
+    LazyState state;
+    state.decay1 = exp(missed * (real)LOG_BETA1);
+    state.decay2 = exp(missed * (real)LOG_BETA2);
+    state.epsilon = (real)ADAM_EPSILON * (c[LAZY_D] / c[LAZY_C]);
+    state.keeps = keeps;
+    return state;
 }
 
 // adam_step adds its terms of the sums of C and D even for a view that sees nothing: the launch is

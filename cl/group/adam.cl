@@ -150,8 +150,8 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
     }
 }
 
-enum { // columns of what the group knows of a due row: C of the fields in the order of LAG_..., and
-    DUE_DECAY1 = LAG_C, DUE_DECAY2, DUE_EPSILON, DUE_TERMS
+enum { // columns of the state of a due row: C of the fields in the order of LAZY_..., and
+    DUE_DECAY1 = LAZY_C, DUE_DECAY2, DUE_EPSILON, DUE_TERMS
 };
 
 __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
@@ -159,7 +159,7 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
     if (counts[COUNT_FAILED])
         return;
     __local uint due, due_rows[SHARE_OF(MOST_ITEMS, CATCH_UP_SPREAD)];
-    __local real due_lags[SHARE_OF(MOST_ITEMS, CATCH_UP_SPREAD) * DUE_TERMS];
+    __local real due_states[SHARE_OF(MOST_ITEMS, CATCH_UP_SPREAD) * DUE_TERMS];
     const uint lane = get_local_id(0), size = get_local_size(0);
     const uint part = SHARE_OF(size, CATCH_UP_SPREAD);
     for (ulong begin = get_group_id(0) * (ulong)part; begin < count;
@@ -169,24 +169,24 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
         barrier(CLK_LOCAL_MEM_FENCE);
         const ulong tested = begin + lane;
         bool is_due = lane < part && tested < count &&
-                      lags(tested, now, keeps, has_frozen, frozen, last_step);
+                      is_stale(tested, now, keeps, has_frozen, frozen, last_step);
         if (is_due && by_camera) {
             const real3 p = to_camera(camera, vload3(tested, positions));
             const real3 scales = vload3(tested, log_scales);
             __global const real *c =
-                coefficients + (last_step[tested] % CATCH_UP_EVERY) * LAG_TERMS;
+                coefficients + (last_step[tested] % CATCH_UP_EVERY) * LAZY_TERMS;
             is_due = may_be_seen(camera, p.x, p.y, p.z, max(scales.x, max(scales.y, scales.z)),
-                                 c[LAG_POSITIONS], c[LAG_SCALES]);
+                                 c[LAZY_POSITIONS], c[LAZY_SCALES]);
         }
         if (is_due) {
             const uint last = last_step[tested], place = atomic_inc(&due);
-            const Lag lag = lag_of(last, now, keeps, coefficients);
-            __local real *own = due_lags + place * DUE_TERMS;
-            for (uint k = 0; k < LAG_C; k++)
-                own[k] = coefficients[(last % CATCH_UP_EVERY) * LAG_TERMS + k];
-            own[DUE_DECAY1] = lag.decay1;
-            own[DUE_DECAY2] = lag.decay2;
-            own[DUE_EPSILON] = lag.epsilon;
+            const LazyState state = lazy_state(last, now, keeps, coefficients);
+            __local real *own = due_states + place * DUE_TERMS;
+            for (uint k = 0; k < LAZY_C; k++)
+                own[k] = coefficients[(last % CATCH_UP_EVERY) * LAZY_TERMS + k];
+            own[DUE_DECAY1] = state.decay1;
+            own[DUE_DECAY2] = state.decay2;
+            own[DUE_EPSILON] = state.epsilon;
             due_rows[place] = tested;
             if (keeps)
                 last_step[tested] = now;
@@ -218,12 +218,12 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
                     continue;
                 const uint row = due_rows[place[k]];
                 const ulong moments = (ulong)row * SMALL_COLUMNS + column[k];
-                __local const real *own = due_lags + place[k] * DUE_TERMS;
-                const real distance = own[OF_FIELD(column[k], LAG_POSITIONS, LAG_SH_CONSTANT,
-                                                   LAG_OPACITY, LAG_SCALES, LAG_TURNS)];
+                __local const real *own = due_states + place[k] * DUE_TERMS;
+                const real distance = own[OF_FIELD(column[k], LAZY_POSITIONS, LAZY_SH_CONSTANT,
+                                                   LAZY_OPACITY, LAZY_SCALES, LAZY_TURNS)];
                 OF_FIELD(column[k], positions, sh_constant, opacity_logits, log_scales,
                          quaternions)[place_in_field(row, column[k])] =
-                    coasted(parameter[k], own[DUE_EPSILON], distance, first[k], second[k]);
+                    decayed_step(parameter[k], own[DUE_EPSILON], distance, first[k], second[k]);
                 if (keeps) {
                     m[moments] = first[k] * own[DUE_DECAY1];
                     v[moments] = second[k] * own[DUE_DECAY2];
@@ -255,9 +255,9 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
                     continue;
                 const uint row = due_rows[place[k]];
                 const ulong moments = (ulong)row * SH_STRIDE + column[k];
-                __local const real *own = due_lags + place[k] * DUE_TERMS;
-                sh_rest[(ulong)row * SH_STRIDE + column[k]] = coasted(
-                    parameter[k], own[DUE_EPSILON], own[LAG_SH_REST], first[k], second[k]);
+                __local const real *own = due_states + place[k] * DUE_TERMS;
+                sh_rest[(ulong)row * SH_STRIDE + column[k]] = decayed_step(
+                    parameter[k], own[DUE_EPSILON], own[LAZY_SH_REST], first[k], second[k]);
                 if (keeps) {
                     m_rest[moments] = first[k] * own[DUE_DECAY1];
                     v_rest[moments] = second[k] * own[DUE_DECAY2];

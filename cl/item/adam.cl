@@ -15,14 +15,15 @@ DEFINE_MOVES(16)
         STORE(first, 0, m);                                                                        \
         STORE(second, 0, v);                                                                       \
     }                                                                                              \
-    inline void coast_##NAME(Lag lag, real distance, __global real *parameter, __global real *m,   \
-                             __global real *v)                                                     \
+    inline void catch_up_##NAME(LazyState state, real distance, __global real *parameter,          \
+                                __global real *m, __global real *v)                                \
     {                                                                                              \
         real##S first = LOAD(0, m), second = LOAD(0, v);                                           \
-        STORE(coasted##S(LOAD(0, parameter), lag.epsilon, distance, first, second), 0, parameter); \
-        if (lag.keeps) {                                                                           \
-            STORE(first * lag.decay1, 0, m);                                                       \
-            STORE(second * lag.decay2, 0, v);                                                      \
+        STORE(decayed_step##S(LOAD(0, parameter), state.epsilon, distance, first, second), 0,      \
+              parameter);                                                                          \
+        if (state.keeps) {                                                                         \
+            STORE(first * state.decay1, 0, m);                                                     \
+            STORE(second * state.decay2, 0, v);                                                    \
         }                                                                                          \
     }
 
@@ -110,25 +111,25 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
     }
 }
 
-inline void coast_small(uint row, Lag lag, __global const real *c, __global real *positions,
-                        __global real *sh_constant, __global real *opacity_logits,
-                        __global real *log_scales, __global real *quaternions, __global real *m,
-                        __global real *v)
+inline void catch_up_small(uint row, LazyState state, __global const real *c,
+                           __global real *positions, __global real *sh_constant,
+                           __global real *opacity_logits, __global real *log_scales,
+                           __global real *quaternions, __global real *m, __global real *v)
 {
     m += (ulong)row * SMALL_COLUMNS;
     v += (ulong)row * SMALL_COLUMNS;
-    coast_3(lag, c[LAG_POSITIONS], positions + 3ul * row, m + SMALL_POSITION,
-            v + SMALL_POSITION);
-    coast_3(lag, c[LAG_SH_CONSTANT], sh_constant + 3ul * row, m + SMALL_CONSTANT,
-            v + SMALL_CONSTANT);
-    coast_1(lag, c[LAG_OPACITY], opacity_logits + row, m + SMALL_OPACITY, v + SMALL_OPACITY);
-    coast_3(lag, c[LAG_SCALES], log_scales + 3ul * row, m + SMALL_SCALE, v + SMALL_SCALE);
-    coast_4(lag, c[LAG_TURNS], quaternions + 4ul * row, m + SMALL_TURN, v + SMALL_TURN);
+    catch_up_3(state, c[LAZY_POSITIONS], positions + 3ul * row, m + SMALL_POSITION,
+               v + SMALL_POSITION);
+    catch_up_3(state, c[LAZY_SH_CONSTANT], sh_constant + 3ul * row, m + SMALL_CONSTANT,
+               v + SMALL_CONSTANT);
+    catch_up_1(state, c[LAZY_OPACITY], opacity_logits + row, m + SMALL_OPACITY, v + SMALL_OPACITY);
+    catch_up_3(state, c[LAZY_SCALES], log_scales + 3ul * row, m + SMALL_SCALE, v + SMALL_SCALE);
+    catch_up_4(state, c[LAZY_TURNS], quaternions + 4ul * row, m + SMALL_TURN, v + SMALL_TURN);
 }
 
-#define COAST(WIDTH, LOAD)                                                                         \
-    coast_##WIDTH(lag, c[LAG_SH_REST], sh_rest + to + column, m_rest + to + column,                \
-                  v_rest + to + column)
+#define CATCH_UP(WIDTH, LOAD)                                                                      \
+    catch_up_##WIDTH(state, c[LAZY_SH_REST], sh_rest + to + column, m_rest + to + column,          \
+                     v_rest + to + column)
 #define LISTED 256 // rows that are tested before any of them moves, so that it can be asked for
 __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
 {
@@ -141,16 +142,16 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
         uint due[LISTED], listed = 0;
         for (uint first = start; first < stop; first += 16) {
             const uint number = min(stop - first, 16u);
-            int lagging[16] = {0};
+            int stale[16] = {0};
             real position_sums[16] = {0}, scale_sums[16] = {0};
             for (uint i = 0; i < number; i++) {
                 __global const real *c =
-                    coefficients + (last_step[first + i] % CATCH_UP_EVERY) * LAG_TERMS;
-                position_sums[i] = c[LAG_POSITIONS];
-                scale_sums[i] = c[LAG_SCALES];
-                lagging[i] = -lags(first + i, now, keeps, has_frozen, frozen, last_step);
+                    coefficients + (last_step[first + i] % CATCH_UP_EVERY) * LAZY_TERMS;
+                position_sums[i] = c[LAZY_POSITIONS];
+                scale_sums[i] = c[LAZY_SCALES];
+                stale[i] = -is_stale(first + i, now, keeps, has_frozen, frozen, last_step);
             }
-            mask16 mask = convert_mask16(vload16(0, lagging));
+            mask16 mask = convert_mask16(vload16(0, stale));
             if (by_camera) {
                 real16 x, y, z;
                 load_in_camera(camera, positions + 3ul * first, number, &x, &y, &z);
@@ -162,13 +163,13 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
         for (uint i = 0; i < listed; i++) {
             const uint row = due[i], last = last_step[row];
             PREFETCH_ALL(due[min(i + AHEAD, listed - 1)]);
-            const Lag lag = lag_of(last, now, keeps, coefficients);
-            __global const real *c = coefficients + (last % CATCH_UP_EVERY) * LAG_TERMS;
-            coast_small(row, lag, c, positions, sh_constant, opacity_logits, log_scales,
+            const LazyState state = lazy_state(last, now, keeps, coefficients);
+            __global const real *c = coefficients + (last % CATCH_UP_EVERY) * LAZY_TERMS;
+            catch_up_small(row, state, c, positions, sh_constant, opacity_logits, log_scales,
                         quaternions, m, v);
 #if DEGREE > 0
             const ulong to = (ulong)row * SH_STRIDE;
-            EACH_WIDTH(COAST)
+            EACH_WIDTH(CATCH_UP)
 #endif
             if (keeps)
                 last_step[row] = now;

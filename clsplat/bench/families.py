@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from clsplat.camera import Camera
-from clsplat.constants import CATCH_UP_EVERY, COUNT_VISIBLE, LAG_TERMS, POSE_REALS
+from clsplat.constants import CATCH_UP_EVERY, COUNT_VISIBLE, LAZY_TERMS, POSE_REALS
 from clsplat.densify.statistics import Statistics
 from clsplat.device import Array, Device
 from clsplat.gaussians import LEARNED
@@ -126,7 +126,8 @@ def adam(city: CityFrame) -> Cases:
 def _lazy(city: CityFrame) -> DeviceAdam:
     """An engine whose sums by which rows catch up are not zero."""
     engine = DeviceAdam(city.device, city.rows, True)
-    engine.load_lag({**engine.lag(), "coefficients": np.full((CATCH_UP_EVERY, LAG_TERMS), 1e-9)}, 0)
+    sums = np.full((CATCH_UP_EVERY, LAZY_TERMS), 1e-9)
+    engine.load_lag({**engine.lag(), "coefficients": sums}, 0)
     return engine
 
 

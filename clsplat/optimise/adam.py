@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from clsplat.constants import (
     CATCH_UP_EVERY,
     FRAME_COUNTS,
-    LAG_TERMS,
+    LAZY_TERMS,
     ONE_MINUS_BETA1,
     ONE_MINUS_BETA2,
     SH_C0,
@@ -40,7 +40,7 @@ _ROWS = dict(
     **_SMALL_MOMENTS, m_rest=("moment", "N", "S"), v_rest=("moment", "N", "S"),
     last_step=("uint", "N"))
 _COUNTS = dict(counts=("uint", FRAME_COUNTS))
-_COEFFICIENTS = dict(coefficients=("real", CATCH_UP_EVERY, LAG_TERMS))
+_COEFFICIENTS = dict(coefficients=("real", CATCH_UP_EVERY, LAZY_TERMS))
 STEP = Kernel(
     "adam.cl", "adam_step", Forms(each("work"), each("work STEP_SPREAD")), work="uint",
     now="uint", rank_one="uint", first="real", correction="real", share="real",
@@ -102,7 +102,7 @@ class DeviceAdam:
         specs = {"small": ArraySpec((count, SMALL_COLUMNS)),
                  "rest": ArraySpec((count, 3 * harmonics))}
         return specs, specs, {"last_step": ArraySpec((count,), np.uint32),
-                              "coefficients": ArraySpec((CATCH_UP_EVERY, LAG_TERMS)),
+                              "coefficients": ArraySpec((CATCH_UP_EVERY, LAZY_TERMS)),
                               "no_gradient": ArraySpec((1, 1, 3)),
                               "none_frozen": ArraySpec((1,), np.uint32),
                               "no_counts": ArraySpec((FRAME_COUNTS,), np.uint32)}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clsplat.constants import (
     ADAM_EPSILON,
     CATCH_UP_EVERY,
-    LAG_TERMS,
+    LAZY_TERMS,
     NO_ROW,
     ONE_MINUS_BETA1,
     ONE_MINUS_BETA2,
@@ -140,7 +140,7 @@ class NumpyAdam:
     def lag(self) -> dict[str, NDArray[Any]]:
         """As `DeviceAdam.lag`."""
         return {"last_step": np.full(len(self.m["positions"]), self.steps, np.uint32),
-                "coefficients": np.zeros((CATCH_UP_EVERY, LAG_TERMS), self.device.real),
+                "coefficients": np.zeros((CATCH_UP_EVERY, LAZY_TERMS), self.device.real),
                 "is_current": np.ones(1, np.uint8)}
 
     def load_lag(self, arrays: Mapping[str, NDArray[Any]], step: int) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.constants import ADAM_EPSILON, CATCH_UP_EVERY, LAG_TERMS, NO_ROW, SH_C0
+from clsplat.constants import ADAM_EPSILON, CATCH_UP_EVERY, LAZY_TERMS, NO_ROW, SH_C0
 from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import DeviceAdam, corrections
 from clsplat.primitives.compact import new_counts
@@ -167,7 +167,7 @@ def test_rows_that_will_be_seen_catch_up_however_far_they_coast(float_device, by
                   roots)
     # C of each field, and C and D of a rate of 1
     coefficients = np.tile([by_position, 0, 0, 0, by_scale, 0, 1, 1], (CATCH_UP_EVERY, 1))
-    assert coefficients.shape[1] == LAG_TERMS
+    assert coefficients.shape[1] == LAZY_TERMS
     engine.load_lag({"last_step": np.zeros(count, np.uint32), "coefficients": coefficients,
                      "is_current": [0]}, missed)
     stale, seen = (cull(float_device, given, camera, DEFINES)[0].download() > 0
