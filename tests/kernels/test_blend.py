@@ -7,6 +7,7 @@ from clsplat.camera import Camera
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.bin import bin_splats
 from clsplat.rendering.blend import (
+    BLEND,
     Exposure,
     Features,
     Vignetting,
@@ -21,6 +22,7 @@ from tests.kernels.chain import SUM_NAMES, grads_of_sums, pack_splats, precision
 from tests.reference import blend as reference
 from tests.reference.exposure import apply, radius
 
+PLAIN_ARGUMENTS = {"item": 10, "group": 12}
 BACKGROUND = np.array([0.25, 0.5, 0.875])
 
 
@@ -223,6 +225,13 @@ def test_weights_and_transmittance_sum_to_one(device):
         splats["colours"][:] = 1
         actual = Blended(device, pack_splats(splats, order), (48, 40), np.ones(3))
         assert np.allclose(actual.image, 1, atol=3e-6, rtol=0)
+
+
+def test_a_build_has_the_arguments_of_its_choices_alone(float_device):
+    plain, deep = (BLEND.contract(float_device, (("WITH_DEPTH", deep),)) for deep in (0, 1))
+    assert len(plain.arguments) == PLAIN_ARGUMENTS[float_device.form]
+    more = {"depth", "depth_checkpoints"} if float_device.form == "group" else {"depth"}
+    assert deep.arguments.keys() - plain.arguments.keys() == more
 
 
 def test_the_background_shows_through(device):
