@@ -20,7 +20,7 @@ from tests import cases
 from tests.checks import close
 from tests.kernels.chain import SUM_NAMES, grads_of_sums, pack_splats, precision_of
 from tests.reference import blend as reference
-from tests.reference.exposure import apply, radius
+from tests.reference.exposure import NO_LENS, apply, radius
 
 PLAIN_ARGUMENTS = {"item": 10, "group": 12}
 BACKGROUND = np.array([0.25, 0.5, 0.875])
@@ -92,7 +92,8 @@ def test_image_and_gradients(device, size):
 
 
 @pytest.mark.oclgrind
-@pytest.mark.parametrize("channels", [1, pytest.param(3, marks=pytest.mark.slow), 8])
+@pytest.mark.parametrize("channels", [pytest.param(1, marks=pytest.mark.slow),
+                                      pytest.param(3, marks=pytest.mark.slow), 8])
 @pytest.mark.parametrize("with_depth", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_features_of_any_number_of_channels(device, channels, with_depth):
     """In place of the colours of the splats, which are nan; of gaussians in another order."""
@@ -119,39 +120,27 @@ def test_features_of_any_number_of_channels(device, channels, with_depth):
 
 
 @pytest.mark.oclgrind
+@pytest.mark.parametrize("with_depth, vignetting", [
+    (True, True), pytest.param(False, False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
-def test_the_colour_transform_of_a_view(device, size):
-    """Beside the image, which stays as it is; with and without depth."""
-    rows = pack_splats(*cases.splats(40, *size))
-    transforms = cases.single(np.random.default_rng(5).normal(0, 0.5, (3, 3, 4)))
-    for with_depth in (False, True):
-        plain = Blended(device, rows, size, with_depth=with_depth)
-        given = device.upload(transforms.reshape(3, 12))
-        drawn = blend(device, plain.splats, plain.pairs, *size, plain.background, plain.defines,
-                      exposure=Exposure(given, 1))
-        assert np.array_equal(drawn.image.download(), plain.image)
-        close(drawn.exposed.download(), apply(transforms[1], plain.image), precision_of(device),
-              "exposed")
-
-
-@pytest.mark.oclgrind
-@pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
-@pytest.mark.one_in(5)
-def test_the_gain_of_the_lens_of_a_view(device, size):
-    """Before the colour transform; a lens of another view differs."""
+def test_the_response_of_a_view(device, size, with_depth, vignetting):
+    """Its transform after the gain of its lens, beside the image, which stays as it is; those of
+    other views differ."""
     rows = pack_splats(*cases.splats(40, *size))
     transforms = cases.single(np.random.default_rng(5).normal(0, 0.5, (3, 3, 4)))
     lenses = cases.single(np.array([[0.5, 0.5, 0.5, 1], [-0.3, 0.2, -0.4, 0.9]]))
     camera = Camera(*size, (0.9 * size[0], 1.1 * size[0]), (0.45 * size[0], 0.6 * size[1]),
                     np.eye(3), np.zeros(3))
-    plain = Blended(device, rows, size, with_depth=False)
-    of = device.upload(np.array([0, 1, 0], np.uint32))
-    vignetting = Vignetting(pack_camera(device, camera, 0.01), of, device.upload(lenses))
+    plain = Blended(device, rows, size, with_depth=with_depth)
+    lens = Vignetting(pack_camera(device, camera, 0.01),
+                      device.upload(np.array([0, 1, 0], np.uint32)), device.upload(lenses))
     drawn = blend(device, plain.splats, plain.pairs, *size, plain.background, plain.defines,
-                  exposure=Exposure(device.upload(transforms.reshape(3, 12)), 1, vignetting))
+                  exposure=Exposure(device.upload(transforms.reshape(3, 12)), 1,
+                                    lens if vignetting else None))
     assert np.array_equal(drawn.image.download(), plain.image)
-    expected = apply(transforms[1], plain.image, lenses[1], radius(camera, lenses[1]))
-    close(drawn.exposed.download(), expected, precision_of(device), "exposed")
+    own = lenses[1] if vignetting else NO_LENS
+    close(drawn.exposed.download(), apply(transforms[1], plain.image, own, radius(camera, own)),
+          precision_of(device), "exposed")
 
 
 @pytest.mark.parametrize("with_depth, smooth", [(False, False), (True, True)])

@@ -142,8 +142,3 @@ def test_a_strange_weight_reaches_only_the_splats_blended_there(float_device, la
 def test_small_tiles_give_the_same(group_device, monkeypatch):
     monkeypatch.setattr(group_device, "tile", 8)
     check(group_device, *cases.splats(80, 37, 29, seed=9, sigma=(0.6, 2)), (37, 29), "tiles of 8")
-
-
-def test_the_same_bytes_every_time(device):
-    rows, weights = pack_splats(*cases.splats(300, 61, 37, seed=10)), an_image(61, 37)
-    assert np.array_equal(sums_of(device, rows, weights), sums_of(device, rows, weights))

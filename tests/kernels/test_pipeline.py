@@ -39,6 +39,7 @@ def test_a_small_scene(device):
     agrees_with_reference(device, "degree_1", False, count=12)
 
 
+@pytest.mark.slow
 def test_features_that_are_colours_make_the_same_frame(device):
     """Of degree 0 over black: the image, the gradients by shapes, also in bands, and those by the
     features, which are those by the harmonics but for their factor."""
@@ -73,6 +74,7 @@ def test_features_of_too_many_channels_are_refused(float_device, channels):
         render(float_device, case, features=np.zeros((len(case["rows"]["positions"]), channels)))
 
 
+@pytest.mark.slow
 def test_the_gradient_by_the_pose_agrees_with_differences(double_device):
     case = cases.gaussians("plain")
     renderer, rows, frame = render(double_device, case, smooth_cutoff=True)

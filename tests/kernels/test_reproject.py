@@ -244,12 +244,6 @@ def test_weight(device):
     assert not np.any(run(device, values, 0)[1:])
 
 
-def test_the_same_bytes_every_time(device):
-    values = an_input((61, 37), seed=9)
-    for first, second in zip(*(run(device, values) for _ in range(2))):
-        assert np.array_equal(first, second)
-
-
 @pytest.mark.slow
 def test_through_the_renderer_to_the_gaussians(double_device):
     """The loss of a render by differences, against the chain of adjoints. The neighbour is a ramp,
