@@ -1,11 +1,8 @@
 """Photos in and renders out, through OpenImageIO."""
 
-import os
-import select
+import shutil
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,8 +17,7 @@ from clsplat.io.photos.photo import Levels, Photo, Source, opened, reason_of
 from clsplat.io.photos.resample import joined, resampled_bands
 
 JPEG_QUALITY = 92
-STREAMED = ("png", "jpeg")  # formats that are written without going back in the file
-PIPES = "/dev/fd"  # on Linux and macOS
+SPARE_BYTES = 1 << 20  # of the disk, beside twice the pixels of an image
 
 
 def write_image(path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUALITY) -> None:
@@ -55,7 +51,7 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
     """Encode an image as the bytes of a file.
 
     OpenImageIO writes to files only, and on a full disk it reports success or, in libjpeg, ends the
-    process. So it writes into a pipe where the system has them, else into a temporary file.
+    process. So the space for its temporary file is checked before.
 
     Parameters
     ----------
@@ -85,51 +81,15 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
     for attribute, value in attributes.items():
         spec.attribute(attribute, value)
 
-    def write(path: str) -> bool:
-        return bool(output.open(path, spec)
-                    and output.write_image(np.ascontiguousarray(pixels)))
-
-    def end(written: bool) -> None:
+    with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
+        if shutil.disk_usage(folder).free < 2 * pixels.nbytes + SPARE_BYTES:
+            raise InputError(f"{name}: the folder for temporary files, {tempfile.gettempdir()}, is "
+                             "nearly full; free some space there, or let TMPDIR name another one")
+        path = Path(folder) / f"image.{suffix}"
+        written = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels))
         if not (output.close() and written):
             raise InputError(f"{name}: cannot be encoded ({reason_of(output)})")
-
-    if output.format_name() in STREAMED and Path(PIPES).is_dir():
-        return _piped(write, end)
-    with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
-        path = Path(folder) / f"image.{suffix}"
-        end(write(str(path)))
         return path.read_bytes()
-
-
-def _piped(write: Callable[[str], bool], end: Callable[[bool], None]) -> bytes:
-    """All bytes that end(write(path)) writes to its path.
-
-    Both ends of the pipe run in threads, which Ctrl-C does not interrupt: libjpeg would end the
-    process if its reader disappeared.
-    """
-    receiver, sender = os.pipe()
-    unread = select.poll()
-    unread.register(receiver, select.POLLIN)
-
-    def fill() -> None:
-        try:
-            written = write(f"{PIPES}/{sender}")
-            # OpenImageIO keeps Python's lock while it writes the rest at the end: with a full pipe
-            # it would wait for a reader that waits for the lock
-            while any(event & select.POLLIN for _, event in unread.poll(0)):
-                time.sleep(1e-4)
-            end(written)
-        finally:
-            os.close(sender)  # or the other end would read forever
-
-    def drain() -> bytes:
-        with open(receiver, "rb") as file:
-            return file.read()
-
-    with ThreadPoolExecutor(2) as threads:
-        content, filled = threads.submit(drain), threads.submit(fill)
-        filled.result()
-        return content.result()
 
 
 def read_image(source: Source, size: tuple[int, int] | None = None,
