@@ -103,7 +103,7 @@ def test_a_city_is_not_overwritten_by_a_run(tmp_path, overwrite):
 def test_partial_files_of_a_killed_process_are_replaced_and_a_link_is_not_followed(tmp_path):
     (tmp_path / "mine").write_text("mine")
     (tmp_path / "file.part").symlink_to(tmp_path / "mine")
-    with replacing(tmp_path / "file", b"new") as file:
+    with replacing(tmp_path / "file") as file:
         file.write(b"new")
     assert (tmp_path / "file").read_bytes() == b"new" and not (tmp_path / "file").is_symlink()
     assert (tmp_path / "mine").read_text() == "mine"

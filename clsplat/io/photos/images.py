@@ -21,7 +21,7 @@ SPARE_BYTES = 1 << 20  # of the disk, beside twice the pixels of an image
 
 
 def write_image(path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUALITY) -> None:
-    """Write an image file, read it back and compare, so that it appears whole or not at all.
+    """Write an image file, which appears whole or not at all.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def write_image(path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUAL
     """
     path = Path(path)
     data = encode_image(pixels, path.suffix.lower().removeprefix("."), quality, path)
-    with replacing(path, data) as file:
+    with replacing(path) as file:
         file.write(data)
 
 
