@@ -35,8 +35,6 @@ from clsplat.io.models.tree import TREE
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions
-from clsplat.report.city import seam_table, share_table
-from clsplat.report.page import embedded
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
 from clsplat.training.loop import run_record
@@ -220,11 +218,9 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
                            reference_model(city, scene, against), model_of,
                            scored.strips if scored else None)
         run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
-                        "worst_seam_db": seams["worst_seam_db"]})
-    write_report(run.folder, embedded(city.picture, "map of the blocks"), share_table(record),
-                 seam_table(seams) if seams else None,
-                 pictures=scores["pictures"] if scores else training_pictures(run, device),
-                 scene=whole)
+                        "worst_seam_db": seams["worst_seam_db"], "borders": seams["borders"]})
+    write_report(run.folder, scores["pictures"] if scores else training_pictures(run, device),
+                 whole)
     return scores, seams
 
 

@@ -53,12 +53,11 @@ def evaluate(run: Path, device: str, images: bool, lpips: Path | None, align: bo
                               align)
         click.echo(summary(result))
         if images:
-            from clsplat.report.run import renew_report
+            from clsplat.report.run import write_report
             if opened.is_finished:  # else its last evaluation was that of another model
                 folder.add_scores({key: value for key, value in result.items()
                                    if key in PERCEPTUAL or "aligned" in key})
-            written = renew_report(folder, result["pictures"],
-                                   lambda: opened.scene(scene, whole=True))
+            written = write_report(folder, result["pictures"], opened.scene(scene, whole=True))
             click.echo(f"pictures: {folder.renders.folder}\n"
                        f"  from left to right: {', '.join(PANELS)} ({LEGEND})\n"
                        f"report: {written}")

@@ -1,8 +1,12 @@
 """Tables of a city: the blocks of the merged model, and the seams between them."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from clsplat.report.page import Table
+from clsplat.io.runs.city import PICTURE
+from clsplat.report.curves import Record
+from clsplat.report.page import Table, embedded
 
 SEAM_COLUMNS = {  # figure of a border -> its title
     "overlap_psnr": "overlap dB", "density_jump": "density jump", "pixels": "pixels",
@@ -13,6 +17,24 @@ EXPLAINED = {
     "that of the reference",
     "seam_db": "seam: gain in PSNR (colour-corrected, mean of views) over the reference elsewhere, "
     "minus the gain beside the border"}
+
+
+def city_sections(folder: Path, records: Sequence[Record]) -> list[Table | str]:
+    """The map of the blocks and the tables of a merged city; nothing for other runs.
+
+    Parameters
+    ----------
+    folder : of the city.
+    records : its metrics.
+    """
+    last = {record["event"]: record for record in records
+            if record.get("event") in ("merge", "seams")}
+    if "merge" not in last:
+        return []
+    picture = folder / PICTURE
+    sections = [embedded(picture, "map of the blocks")] if picture.is_file() else []
+    return [*sections, share_table(last["merge"]),
+            *([seam_table(last["seams"])] if last.get("seams", {}).get("borders") else [])]
 
 
 def share_table(record: dict[str, Any]) -> Table:

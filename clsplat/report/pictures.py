@@ -14,25 +14,12 @@ from clsplat.report.page import Table
 from clsplat.report.scores import COLUMNS, EXPLAINED, PERCEPTUAL, number, with_quality
 
 JPEG_QUALITY = 85
-# comments around the pictures in a page, by which `with_pictures` finds them
-BEGIN, END = "<!-- pictures -->\n", "<!-- end of pictures -->\n"
 # attribute of a ShownView, caption
 PANELS = (("photo", "photo"), ("render", "render after the colour fit"), ("error", "its error"))
 
 
 def pictures_html(pictures: Pictures | None) -> str:
     """The section of a report for its pictures; an error becomes a line of text."""
-    return f"{BEGIN}{_section(pictures)}{END}"
-
-
-def with_pictures(html: str, pictures: Pictures) -> str | None:
-    """A page with its section of pictures replaced; None where it does not have one."""
-    before, begin, rest = html.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    return f"{before}{pictures_html(pictures)}{after}" if begin and end else None
-
-
-def _section(pictures: Pictures | None) -> str:
     if not pictures or not pictures.shown:
         return ""
     try:

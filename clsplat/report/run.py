@@ -1,6 +1,6 @@
 """The page of one run: pictures, scores, growth, loss, level changes and scene frequency."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,12 +8,13 @@ from clsplat.config.option import options_of
 from clsplat.evaluation.pictures import Pictures
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions
+from clsplat.report.city import city_sections
 from clsplat.report.curves import Record
 from clsplat.report.drawing import drawn
 from clsplat.report.figures import frequency_figure, score_figure, step_figure
 from clsplat.report.groups import full_name
 from clsplat.report.page import Table, folded, headed, html_of, page
-from clsplat.report.pictures import pictures_html, with_pictures
+from clsplat.report.pictures import pictures_html
 from clsplat.report.scores import main_psnr, number, score_table, with_quality
 from clsplat.report.survey import survey_html
 from clsplat.scene import Scene
@@ -22,8 +23,6 @@ FACTS = ("command", "date", "scene", "scene_absolute", "fingerprint", "extent", 
          "opencl_device", "kernel_form", "version", "commit")
 PREDICTED = ("Held-out views have an exposure that follows from the training photos alone: {:.0%} "
              "interpolated between those before and after, the rest the mean of all.")
-# comments around the table of scores, by which `renewed` finds it
-BEGIN, END = "<!-- scores -->\n", "<!-- end of scores -->\n"
 FREQUENCY = (
     "<p class=note>The scene frequency is the mean of 1 / size over the gaussians, weighted by how "
     "visible each of them is: it rises as they become finer. The sig schedule continues with finer "
@@ -31,57 +30,32 @@ FREQUENCY = (
     "</p>\n")
 
 
-def write_report(run: RunFolder, *more: Table | str | None, pictures: Pictures | None = None,
-                 scene: Scene | None = None) -> Path:
+def write_report(run: RunFolder, pictures: Pictures | None = None, scene: Scene | None = None
+                 ) -> Path:
     """Write the report of a run from its options and metrics, and return its path.
 
-    Parts without records, such as the levels of a schedule that has none, are left out.
+    Sections without records, such as the levels of a schedule that has none, are left out.
 
     Parameters
     ----------
-    more : tables and HTML that follow the scores.
+    run : the folder of the run, or of a city.
     pictures : the beginning of the page.
     scene : at the size of its photos, for the section Survey.
     """
-    options, records = run.read_options(), run.records()
+    options, records = run.read_options(), run.past_records()
     frequency = drawn("Scene frequency over iterations", frequency_figure, records)
     scores = drawn("PSNR and SSIM over training time", score_figure, records)
-    parts = (
+    sections = (
         pictures_html(pictures), survey_html(scene),
-        headed("Scores over training time" if scores else "Scores", scores, _scores(records)),
-        *more,
+        headed("Scores over training time" if scores else "Scores", scores, score_table(records)),
+        *city_sections(run.path, records),
         headed("Growth and loss", drawn("Gaussians, loss and level over iterations",
                                          step_figure, records)),
         plan_table(records), level_table(records),
         folded("Options", option_table(options).html()),
         frequency and folded("Scene frequency", FREQUENCY + frequency))
     return run.write_report(page(full_name(run.path, options), lead(options, records),
-                                 html_of(*parts), made=options))
-
-
-def renew_report(run: RunFolder, pictures: Pictures,
-                 scene: Callable[[], Scene | None] = lambda: None) -> Path:
-    """Replace the pictures and the table of scores in the report of a run, and return its path.
-
-    The report is written anew if it is missing or has no section of pictures.
-
-    Parameters
-    ----------
-    scene : called for the scene, at the size of its photos, if the report is written anew.
-    """
-    html = run.read_report()
-    html = html and with_pictures(html, pictures)
-    if not html:
-        return write_report(run, pictures=pictures, scene=scene())
-    before, begin, rest = html.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    scores = _scores(run.past_records())
-    return run.write_report(f"{before}{scores}{after}" if begin and end and scores else html)
-
-
-def _scores(records: Sequence[Record]) -> str | None:
-    table = score_table(records)
-    return f"{BEGIN}{table.html()}{END}" if table else None
+                                 html_of(*sections), made=options))
 
 
 def lead(options: Mapping[str, Any], records: Sequence[Record]) -> str:

@@ -207,8 +207,8 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     assert scores["iteration"] == sum(part["iteration"] for part in parts)
     assert scores["gaussians"] == joint.load_model(offset).count
     assert trained.read_partition()["asked"]["exchanges"] == 0
-    assert "as a whole for 30 steps" in run.read_report()
-    assert "overlap" not in run.read_report()  # the blocks' own gaussians are not shown
+    assert "as a whole for 30 steps" in (run.path / "report.html").read_text()
+    assert "overlap" not in (run.path / "report.html").read_text()  # the blocks' own gaussians are not shown
     assert not any(record["event"] == "eval" for record in RunFolder(trained.coarse).records())
 
 
@@ -242,7 +242,7 @@ def test_it_can_be_left_out_of_a_merge(trained, tmp_path):
     command("merge", copy.path, "--no-joint", "--device", DEVICE)
     start, whole = read_ply(copy.joint_start), read_ply(copy.path / "point_cloud.ply")
     assert np.array_equal(start.positions, whole.positions)
-    assert "trained as a whole" not in RunFolder(copy.path).read_report()
+    assert "trained as a whole" not in (copy.path / "report.html").read_text()
     spent = [finish.merge_record(each)["iteration"] for each in (trained, copy)]
     assert spent[0] - spent[1] == 30
     command("merge", copy.path, "--device", DEVICE)

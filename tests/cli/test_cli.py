@@ -198,7 +198,8 @@ def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
     module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
     module(monkeypatch, "clsplat.evaluation.views", evaluate_run=evaluate_run, PANELS=(),
            final_metrics=lambda path: f"metrics with {path}")
-    module(monkeypatch, "clsplat.report.run", renew_report=lambda *words: f"page with {words[1]}")
+    monkeypatch.setattr("clsplat.evaluation.run.Run.scene", lambda *_, **__: None)
+    module(monkeypatch, "clsplat.report.run", write_report=lambda *words: f"page with {words[1]}")
     result = clsplat_("eval", tmp_path, flag, "--device", "cpu", "--scene", "moved",
                       "--lpips", "net.onnx")
     assert result.exit_code == 0, result.output

@@ -11,10 +11,9 @@ from clsplat.camera import Camera
 from clsplat.evaluation import views
 from clsplat.evaluation.error_map import COLOURS, LARGEST_ERROR, error_map
 from clsplat.evaluation.pictures import Pictures, chosen_views, shown_view
-from clsplat.io.photos.images import read_image
+from clsplat.io.photos.images import read_image, write_image
 from clsplat.io.runs.run import RunFolder
-from clsplat.report.page import Table
-from clsplat.report.run import renew_report, write_report
+from clsplat.report.run import write_report
 from clsplat.scene import View
 from tests.report.test_report import Balanced, headings
 
@@ -116,26 +115,29 @@ def test_a_report_begins_with_pictures(run):
     assert abs(seen - shown_view("best", *scored("c", 20.0)).error.reshape(-1, 3).mean(0)).max() < 9
 
 
-def test_pictures_are_renewed_and_the_rest_stays(run):
-    write_report(run, Table("Blocks", ("block",), [("7",)]), pictures=pictures())
-    before = (run.path / "report.html").read_text()
-    html = renew_report(run, pictures(names=("new.jpg", "b.jpg", "c.jpg"))).read_text()
-    assert "new.jpg" in html and "a.jpg" not in html and "<h2>Blocks</h2>" in html
-    assert renew_report(run, pictures()).read_text() == before
-    for old in (b"<p>a page of an older version", b"\xff", None):
-        (run.path / "report.html").write_bytes(old) if old else (run.path / "report.html").unlink()
-        assert "a.jpg" in renew_report(run, pictures()).read_text()
-
-
-def test_scores_are_renewed_too(run):
+def test_scores_that_are_added_are_in_the_next_report(run):
     run.log({"event": "eval", "iteration": 20, "psnr_cc": 22.0})
     run.log({"event": "step", "iteration": 20})
-    assert "FLIP cc" not in write_report(run, Table("Blocks", ("block",), [("7",)])).read_text()
+    assert "FLIP cc" not in write_report(run).read_text()
     run.add_scores({"flip": 0.1234, "flip_cc": 0.05})
     assert [record.get("flip") for record in run.records()] == [None, 0.1234, None]
-    html = renew_report(run, pictures()).read_text()
-    assert "FLIP cc" in html and "0.1234" in html and "<h2>Blocks</h2>" in html
+    html = write_report(run, pictures()).read_text()
+    assert "FLIP cc" in html and "0.1234" in html
     assert html.count("PSNR cc, dB") == 2  # of the pictures, and of all views
     (run.path / "metrics.jsonl").unlink()
     run.add_scores({"flip": 0.5})
-    assert not run.has_metrics
+    assert not run.has_metrics and "has no records" in write_report(run).read_text()
+
+
+def test_a_city_has_its_map_and_its_tables_in_each_report(run, tmp_path):
+    share = {"block": 7, "state": "trained", "gaussians": 5, "trained": 6, "views": 3, "points": 9,
+             "note": ""}
+    border = {"blocks": [0, 1], "overlap_psnr": None, "density_jump": 0.25, "pixels": 12,
+              "psnr": 20.0, "elsewhere_psnr": 21.0, "seam_db": 0.5}
+    write_image(run.path / "partition.png", np.zeros((2, 3, 3), np.uint8))
+    run.log({"event": "merge", "blocks": [share], "dropped": {}})
+    assert headings(write_report(run).read_text())[-1] == "Blocks"
+    run.log({"event": "seams", "borders": [border], "seam_db": 0.5})
+    html = write_report(run, pictures()).read_text()
+    assert headings(html)[0] == "Held-out views" and headings(html)[-2:] == ["Blocks", "Seams"]
+    assert "<td>007</td>" in html and "<td>000 | 001</td>" in html and "map of the blocks" in html

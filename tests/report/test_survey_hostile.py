@@ -13,7 +13,7 @@ from clsplat.evaluation import survey as survey_module
 from clsplat.evaluation.survey import spreads, survey_of
 from clsplat.georeference import Georeference, Residual
 from clsplat.report import survey as section_module
-from clsplat.report.run import renew_report, write_report
+from clsplat.report.run import write_report
 from clsplat.report.survey import area, facts_table, length, survey_figure, survey_html, warnings
 from clsplat.scene import Scene, View
 from tests.evaluation.test_pictures import pictures
@@ -192,9 +192,6 @@ def test_a_survey_stands_between_pictures_and_scores(tmp_path, sketched):
     run.log({"event": "eval", "iteration": 9, "psnr": 21.0})
     html = write_report(run, pictures=pictures(), scene=flight()).read_text()
     assert headings(html)[:3] == ["Held-out views", "Survey", "Scores"]
-    assert renew_report(run, pictures()).read_text() == html  # it stays
-    (run.path / "report.html").unlink()
-    assert "Survey" in headings(renew_report(run, pictures(), flight).read_text())
 
 
 def test_a_survey_that_fails_is_a_line(monkeypatch):

@@ -34,6 +34,7 @@ from clsplat.response import Response
 from clsplat.scene import Scene, View
 
 PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
+PICTURE = "partition.png"  # the partition as an image
 WINDOWS, VISITS = "windows", "visits"  # keys of region.json
 LAYERS = "layers"  # key of block.json: how many gaussians surroundings.ply has
 EXCHANGES = "exchanges"  # key of block.json: after how many steps blocks exchange gaussians
@@ -61,7 +62,7 @@ class CityFolder:
         self.coarse, self.lod = self.path / "coarse", self.path / "lod"
         self.undistorted, self.dense = self.path / UNDISTORTED, self.path / "dense.ply"
         self.joint, self.joint_start = self.path / "joint", self.path / "joint_start.ply"
-        self.map, self.picture = self.path / "partition.geojson", self.path / "partition.png"
+        self.map, self.picture = self.path / "partition.geojson", self.path / PICTURE
 
     @property
     def has_record(self) -> bool:

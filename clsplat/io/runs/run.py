@@ -333,13 +333,6 @@ class RunFolder:
             file.write(html.encode("utf-8", "backslashreplace"))
         return self.path / REPORT
 
-    def read_report(self) -> str | None:
-        """The page that `write_report` wrote, or None if it cannot be read."""
-        try:
-            return (self.path / REPORT).read_bytes().decode()
-        except (OSError, ValueError):
-            return None
-
     def check_model(self) -> None:
         """InputError if the training is not finished."""
         if not self.has_model:
