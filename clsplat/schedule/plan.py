@@ -78,6 +78,12 @@ class SceneFacts:
     disagreement: Callable[[], float] = lambda: math.nan
     shown_in: float = math.nan
 
+    def differing(self) -> str:
+        """How much the photos disagree, as a clause."""
+        differ = 100 * self.disagreement()
+        return (f"as photos of a place differ by {differ:.1f} % of full brightness" if differ >= 0
+                else "as no sparse point shows how much photos of a place differ")
+
 
 class Schedule:
     """Base class of all schedules.

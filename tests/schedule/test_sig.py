@@ -10,8 +10,10 @@ from clsplat.errors import InputError
 from clsplat.options import resolve
 from clsplat.schedule.sig import (
     GROWS_SHARE,
+    LEVELS,
+    ROUND_STEPS,
+    chosen_levels,
 )
-from clsplat.schedule.sig_limits import LEVELS, ROUND_STEPS, chosen_levels
 from tests.schedule.driven_sig import (
     PRESETS,
     decisions,

@@ -8,11 +8,11 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.options import resolve
 from clsplat.schedule import worthwhile_steps
-from clsplat.schedule.sig import Sig
-from clsplat.schedule.sig_limits import (
+from clsplat.schedule.sig import (
     LEVELS,
     SMALLEST_SIDE,
     TILE,
+    Sig,
     chosen_levels,
     level_shares,
     most_steps,

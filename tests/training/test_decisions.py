@@ -16,7 +16,7 @@ from clsplat.io.models.ply import write_ply
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.schedule import planned_steps, scaled_steps
-from clsplat.schedule.sig_limits import AGREEING, ENOUGH, FEWEST
+from clsplat.schedule.sig import AGREEING, ENOUGH, FEWEST
 from clsplat.training.parts import exposures, reprojection
 from clsplat.training.parts.exposures import SAMPLED_PHOTOS
 from clsplat.training.start import facts, thumbnails
