@@ -207,8 +207,9 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     assert scores["iteration"] == sum(part["iteration"] for part in parts)
     assert scores["gaussians"] == joint.load_model(offset).count
     assert trained.read_partition()["asked"]["exchanges"] == 0
-    assert "as a whole for 30 steps" in (run.path / "report.html").read_text()
-    assert "overlap" not in (run.path / "report.html").read_text()  # the blocks' own gaussians are not shown
+    page = (run.path / "report.html").read_text()
+    assert "as a whole for 30 steps" in page
+    assert "overlap" not in page  # the blocks' own gaussians are not shown
     assert not any(record["event"] == "eval" for record in RunFolder(trained.coarse).records())
 
 
