@@ -25,7 +25,6 @@ from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import (
     evaluate_run,
     final_metrics,
-    known_floaters,
     training_pictures,
 )
 from clsplat.gaussians import Gaussians
@@ -192,16 +191,11 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     whole = run.scene(whole=True)
     scene = run.as_trained(whole)
     views, held_out = views_of(scene, options)
-    with ThreadPoolExecutor(1) as beside:  # while the workers render
-        floaters = (beside.submit(known_floaters, run, scene, merged.gaussians).result if held_out
-                    else None)
-        scored = score_in_shares(city, options, against, views, workers)
-        if held_out:
-            scores = evaluate_run(run, device, save_images=False,
-                                  metrics=final_metrics(options.lpips),
-                                  per_view=list(scored.per_view.values()) if scored else None,
-                                  gaussians=merged.gaussians, floaters=floaters)
-    if scores:
+    scored = score_in_shares(city, options, against, views, workers)
+    if held_out:
+        scores = evaluate_run(run, device, save_images=False, metrics=final_metrics(options.lpips),
+                              per_view=list(scored.per_view.values()) if scored else None,
+                              gaussians=merged.gaussians)
         run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
                                                      if key not in ("per_view", "pictures")}})
     partition = city.partition(scene)

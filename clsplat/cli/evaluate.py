@@ -32,9 +32,7 @@ def evaluate(run: Path, device: str, images: bool, lpips: Path | None, align: bo
 
     PSNR (dB), SSIM and FLIP (0 to 1, lower is better) are means over views, plain and after a
     quadratic fit of each render's colours to its photo. Where the run learned exposures, held-out
-    views are rendered with one that follows from those of the training photos alone. For a
-    synthetic city, floaters are the share of opacity that is more than 1, 3 and 10 pixels away from
-    the true surface.
+    views are rendered with one that follows from those of the training photos alone.
 
     The given poses of held-out views are not exact, and a sharp model suffers most from that. With
     --align each is moved a little against its photo, while the model stays as it is: this compares
@@ -81,8 +79,4 @@ def summary(result: dict[str, Any]) -> str:
     if "exposure_weight" in result:
         lines.append("exposure of held-out views: "
                      f"{Predicted(weight=result['exposure_weight'])}")
-    if "floaters" in result:
-        lines.append(f"{'pixels off':<20}{'> 1':>8}{'> 3':>8}{'> 10':>8}")
-        shares = (result[key] for key in ("floaters", "floaters_3", "floaters_10"))
-        lines.append(f"{'floaters':<20}" + "".join(f"{share:>8.2%}" for share in shares))
     return "\n".join(lines)

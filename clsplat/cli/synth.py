@@ -29,9 +29,8 @@ def _pair(context: click.Context, option: click.Parameter, text: str) -> tuple[i
               help="Width and height of a photo, pixels.")
 @click.option("--seed", default=0, show_default=True,
               help="Seed of the city; the same seed gives the same bytes.")
-@click.option("--overwrite", is_flag=True, help="Replace an earlier synthetic scene.")
-def synth(output: Path, blocks: tuple[int, int], views: int, size: tuple[int, int], seed: int,
-          overwrite: bool) -> None:
+def synth(output: Path, blocks: tuple[int, int], views: int, size: tuple[int, int], seed: int
+          ) -> None:
     """Make a synthetic city scene with known geometry.
 
     It has photos, a COLMAP model and the true geometry.
@@ -40,7 +39,7 @@ def synth(output: Path, blocks: tuple[int, int], views: int, size: tuple[int, in
     from clsplat.synth.write import synthesise
     with Progress() as progress:
         photos, points, observations = synthesise(
-            output, blocks, views, width=size[0], height=size[1], seed=seed, overwrite=overwrite,
+            output, blocks, views, width=size[0], height=size[1], seed=seed,
             progress=lambda done, total: progress.count("photo", done, total))
     click.echo(f"{output}: {photos} views of {size[0]} x {size[1]}, {points:,} points, "
                f"{observations:,} observations")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -21,7 +20,6 @@ from clsplat.evaluation.align import aligned
 from clsplat.evaluation.colour import fit_colour
 from clsplat.evaluation.error_map import error_map
 from clsplat.evaluation.flip import flip
-from clsplat.evaluation.floaters import floater_share, ground_truth
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
 from clsplat.evaluation.lpips import Lpips
 from clsplat.evaluation.metrics import psnr, ssim
@@ -208,8 +206,7 @@ def opened(device: Device, gaussians: Gaussians, scene: Scene, options: Renderin
 def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path | None = None,
                  metrics: Mapping[str, Metric] = FINAL_METRICS, align: bool = False,
                  per_view: list[dict[str, Any]] | None = None,
-                 gaussians: Gaussians | None = None,
-                 floaters: Callable[[], Mapping[str, float]] | None = None) -> dict[str, Any]:
+                 gaussians: Gaussians | None = None) -> dict[str, Any]:
     """Compare the finished model of a run with its held-out photos.
 
     Parameters
@@ -223,11 +220,10 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     per_view : the scores of the held-out views by `metrics`, in their order, where they are known;
         None: they are computed here.
     gaussians : the finished model, in the scene's frame; None: it is read.
-    floaters : returns what `known_floaters` does; None: they are counted here.
 
     Returns
     -------
-    The result of `evaluate_views`, with `pictures`, and that of `known_floaters`.
+    The result of `evaluate_views`, with `pictures`.
 
     Raises
     ------
@@ -250,32 +246,13 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     if save_images:
         run.folder.renders.note("test", [view.name for view in views])
     predicted = predicted_responses(scene.views, run.folder.load_exposures())
-    with ThreadPoolExecutor(1) as beside:  # while the device renders
-        floaters = floaters or beside.submit(known_floaters, run, scene, gaussians).result
-        if per_view is None:
-            result = evaluate_views(*model, views, keep if save_images else None, metrics,
-                                    predicted, depth_to_align(scene) if align else 0.0)
-        else:
-            result = mean_scores(per_view, score_names(metrics), predicted)
-        result.update(floaters())
+    if per_view is None:
+        result = evaluate_views(*model, views, keep if save_images else None, metrics, predicted,
+                                depth_to_align(scene) if align else 0.0)
+    else:
+        result = mean_scores(per_view, score_names(metrics), predicted)
     result["pictures"] = pictures_of(*model, views, train, result["per_view"], predicted)
     return result
-
-
-def known_floaters(run: Run, scene: Scene, gaussians: Gaussians) -> dict[str, float]:
-    """The result of `floaters.floater_share` where a run's scene has ground truth, else nothing.
-
-    Parameters
-    ----------
-    run : the run.
-    scene : the result of `run.scene`.
-    gaussians : the finished model, in the scene's frame.
-    """
-    city = ground_truth(scene.path)
-    if city is None:
-        return {}
-    train, _ = scene.split(run.options.test_every, run.options.test_offset)
-    return floater_share(city, gaussians, [view.camera for view in train], scene.offset)
 
 
 def depth_to_align(scene: Scene) -> float:

@@ -7,17 +7,13 @@ middle of the city. One unit is about four metres.
 from __future__ import annotations
 
 import json
-import operator
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
-from clsplat.io.reason import reason
 
 BLOCK_WIDTH = 20.0  # distance between the centre lines of neighbouring streets
 STREET = 2.5  # half the width of the road
@@ -64,29 +60,6 @@ class City:
         boxes, spheres = np.split(kept, [len(self.boxes)])
         return replace(self, boxes=self.boxes[boxes], kinds=self.kinds[boxes],
                        spheres=self.spheres[spheres])
-
-
-def distance(city: City, points: ArrayLike) -> NDArray[np.float64]:
-    """The unsigned distance [N] of world points [N, 3] to the nearest true surface, world units.
-
-    The city is one solid, the union of the ground below z = 0, the boxes and the spheres. The
-    distance is exact outside it. Inside, it is a lower bound, exact except where solids overlap.
-    """
-    x, y, z = np.asarray(points, np.float64).T
-    signed: NDArray[np.float64] = z.copy()
-    at_once = max(1, TOGETHER // max(1, len(z)))
-    for begin in range(0, len(city.boxes), at_once):
-        low, high = city.boxes[begin:begin + at_once].transpose(1, 2, 0)[..., None]
-        gaps = (np.maximum(low[0] - x, x - high[0]), np.maximum(low[1] - y, y - high[1]),
-                z - high[2])  # the underside of a box is not a surface
-        outside = np.sqrt(sum(np.maximum(gap, 0)**2 for gap in gaps))
-        inside = np.minimum(np.maximum.reduce(gaps), 0)
-        np.minimum(signed, (outside + inside).min(axis=0), out=signed)
-    for begin in range(0, len(city.spheres), at_once):
-        centre, radius = np.split(city.spheres[begin:begin + at_once].T[..., None], [3])
-        away = np.sqrt((x - centre[0])**2 + (y - centre[1])**2 + (z - centre[2])**2) - radius[0]
-        np.minimum(signed, away.min(axis=0), out=signed)
-    return np.abs(signed)
 
 
 def sample(city: City, count: int, margin: float, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -143,31 +116,3 @@ def save(city: City, path: str | PathLike[str]) -> None:
     rows = json.dumps(table).replace('{"kind"', '\n{"kind"').replace('{"centre"', '\n{"centre"')
     with replacing(path) as file:
         file.write((rows + "\n").encode())
-
-
-def load(path: str | PathLike[str]) -> City:
-    """The City that `save` wrote; InputError if the file is missing or damaged."""
-    try:
-        with open(path, encoding="utf-8") as file:
-            table = json.load(file)
-        columns, rows = (operator.index(number) for number in table["blocks"])
-        return City(
-            operator.index(table["seed"]), (columns, rows),
-            _numbers(table["parks"], (columns, rows)).astype(bool),
-            _numbers([[box["low"], box["high"]] for box in table["boxes"]], (-1, 2, 3)),
-            np.array([KINDS.index(box["kind"]) for box in table["boxes"]], int),
-            _numbers([[*row["centre"], row["radius"]] for row in table["spheres"]], (-1, 4)))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions"
-                         ) from None
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise InputError(f"{path}: not a geometry file of `clsplat synth` ({reason(error)}); "
-                         "make the scene again") from None
-
-
-def _numbers(table: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Nested lists as an array of a shape; ValueError if they are not coordinates of a city."""
-    numbers = np.array(table, np.float64).reshape(shape)
-    if not (np.abs(numbers) <= LARGEST_COORDINATE).all():
-        raise ValueError(f"numbers beyond {LARGEST_COORDINATE:g}")
-    return numbers

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import re
+import shutil
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL
-from clsplat.io.folders import make_folder, remove_files
+from clsplat.io.folders import make_folder
 from clsplat.io.photos.images import write_image
 from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 from clsplat.scene import View
@@ -27,15 +26,11 @@ from clsplat.synth.texture import Texture
 from clsplat.synth.tracks import observe
 
 GEOMETRY = "geometry.json"
-# what a call writes, and what remains when it is killed
-WRITTEN = re.compile(r"(geometry\.json|images/\d+\.jpg|sparse/0/(cameras|images|points3D)\.bin)"
-                     r"(\.part)?")
 
 
 def synthesise(folder: str | os.PathLike[str], blocks: tuple[int, int] = (2, 2), views: int = 32,
                width: int = 320, height: int = 240, seed: int = 0,
-               progress: Callable[[int, int], object] | None = None, overwrite: bool = False
-               ) -> tuple[int, int, int]:
+               progress: Callable[[int, int], object] | None = None) -> tuple[int, int, int]:
     """Make a city, render its photos, and write the scene; the same arguments give the same bytes.
 
     Parameters
@@ -48,7 +43,6 @@ def synthesise(folder: str | os.PathLike[str], blocks: tuple[int, int] = (2, 2),
     height : of a photo, pixels.
     seed : of everything random.
     progress : called with the numbers of finished photos and of all photos after each photo.
-    overwrite : replace an earlier synthetic scene.
 
     Returns
     -------
@@ -56,31 +50,31 @@ def synthesise(folder: str | os.PathLike[str], blocks: tuple[int, int] = (2, 2),
 
     Raises
     ------
-    InputError : a number is out of range, or the folder has other contents or, without `overwrite`,
-        an earlier scene.
+    InputError : a number is out of range, or the folder is not empty.
     """
     _check(blocks, views, width, height, seed)
     folder = Path(folder)
-    _check_folder(folder, overwrite)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; name a folder for the scene")
+    if folder.is_dir() and any(folder.iterdir()):
+        raise InputError(f"{folder}: the folder is not empty; name another, or remove it")
     city = lay_out(blocks, seed)
     cameras = survey(city, views, width, height, seed)
     points, point, view, pixels = observe(city, cameras, seed)
     if not len(points):
         raise InputError(f"{folder}: no two of {views} views see the same point; use more views")
-
     partial = folder.with_name(folder.name + PARTIAL)
-    _remove(partial)  # the rest of a call that was killed
+    shutil.rmtree(partial, ignore_errors=True)  # the rest of a call that was killed
     try:
         _write(partial, city, cameras, points, Tracks(point, view, pixels), progress)
-    except BaseException:
-        _remove(partial)
-        raise
-    _remove(folder)
-    try:
+        if folder.is_dir():
+            folder.rmdir()
         os.rename(partial, folder)
     except OSError as error:
-        raise InputError(f"{folder}: cannot replace the earlier scene ({error.strerror}); the new "
-                         f"one is {partial}, rename it") from None
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); name another folder"
+                         ) from None
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
     return views, len(points), len(point)
 
 
@@ -116,47 +110,3 @@ def _check(blocks: tuple[int, int], views: int, width: int, height: int, seed: i
     for name, value, low, high in limits:
         if not low <= value <= high:
             raise InputError(f"synthetic city: {name} must be from {low} to {high}, got {value}")
-
-
-def _check_folder(folder: Path, overwrite: bool) -> None:
-    """Raise InputError if a scene cannot be written to `folder`."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; name a folder for the scene")
-    if folder.is_dir() and any(folder.iterdir()):
-        if not overwrite:
-            raise InputError(f"{folder}: the folder is not empty; name another, or use --overwrite")
-        if not (folder / GEOMETRY).is_file():
-            raise InputError(f"{folder}: does not contain a synthetic scene, so it is not "
-                             "overwritten; name another folder")
-        try:  # now, rather than after all photos are rendered
-            probe = folder / (GEOMETRY + PARTIAL)
-            probe.touch()
-            probe.unlink()
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be written ({error.strerror}); name another folder"
-                             ) from None
-        others = sorted(set(_files(folder)) - set(_written(folder)))
-        if others:
-            raise InputError(f"{others[0]}: is not part of the synthetic scene, so nothing is "
-                             "overwritten; move it, or name another folder")
-
-
-def _files(folder: Path) -> list[Path]:
-    return [Path(path, name) for path, folders, names in os.walk(folder)
-            for name in (*names, *folders) if not os.path.isdir(os.path.join(path, name))
-            or os.path.islink(os.path.join(path, name))]
-
-
-def _written(folder: Path) -> list[Path]:
-    """The files in `folder` that this module wrote, except links, which may lead anywhere."""
-    return [path for path in _files(folder) if not path.is_symlink()
-            and WRITTEN.fullmatch(path.relative_to(folder).as_posix())]
-
-
-def _remove(folder: Path) -> None:
-    """Remove an earlier scene, and the folder if it is empty then."""
-    if folder.is_dir():
-        remove_files(_written(folder), folder)
-        for path in ("images", "sparse/0", "sparse", "."):
-            with suppress(OSError):
-                os.rmdir(folder / path)

@@ -10,11 +10,10 @@ from clsplat.io.photos.views import read_valid
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
-from clsplat.synth.geometry import load
+from clsplat.synth.layout import city as lay_out
 from clsplat.synth.raycast import cast
 from tests.city.test_city import FLAGS
 from tests.data.lens_city import MASKED_EVERY, write_lens_city
-from tests.data.tiny_training import CITY
 
 SURVEYED = "010.jpg"  # a photo that the second block alone has
 
@@ -52,7 +51,7 @@ def check_depth(view, offset):
     """Check the depth map of a part of an undistorted photo against the sample's true surfaces."""
     camera = view.camera
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    points, _ = cast(load(CITY / "geometry.json"), camera.shifted(-offset),
+    points, _ = cast(lay_out((2, 2), 0), camera.shifted(-offset),
                      np.stack([x.ravel(), y.ravel()], axis=1))
     true = camera.project(points - offset)[1].reshape(x.shape)
     found = read_depth(view)

@@ -8,7 +8,7 @@ from scipy.ndimage import map_coordinates
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
-from clsplat.synth.geometry import load
+from clsplat.synth.layout import city as lay_out
 from clsplat.synth.raycast import cast
 from tests.data.tiny_training import CITY
 
@@ -24,7 +24,7 @@ def write_lens_city(folder, with_depth):
 
     What is under masks is noise. Depths are along the camera's axis.
     """
-    scene, city = read_scene(CITY).reduced(REDUCED), load(CITY / "geometry.json")
+    scene, city = read_scene(CITY).reduced(REDUCED), lay_out((2, 2), 0)
     camera = scene.views[0].camera
     made = pycolmap.Reconstruction(str(CITY / "sparse/0"))
     values = (*(ZOOM * np.array(camera.focal)), *camera.centre, *DISTORTION)

@@ -1,5 +1,7 @@
 """The synthetic city: correct ground truth, a model that COLMAP reads, the same bytes again."""
 
+import json
+
 import numpy as np
 import pycolmap
 import pytest
@@ -10,7 +12,7 @@ from clsplat.errors import InputError
 from clsplat.io.photos.images import read_image
 from clsplat.synth import geometry, raycast
 from clsplat.synth.cameras import looking, survey
-from clsplat.synth.geometry import City, distance
+from clsplat.synth.geometry import City
 from clsplat.synth.layout import city as lay_out
 from clsplat.synth.tracks import observe
 from clsplat.synth.write import synthesise
@@ -37,6 +39,24 @@ def solids():
     """A box 4 x 2 x 5 and a unit sphere."""
     return City(0, (1, 1), np.zeros((1, 1), bool), np.array([[[0, 0, 0], [4, 2, 5.0]]]),
                 np.array([0]), np.array([[-5, 0, 3, 1.0]]))
+
+
+def distance(city, points):
+    """The unsigned distance [N] of world points [N, 3] to the nearest true surface.
+
+    The city is one solid, the union of the ground below z = 0, the boxes and the spheres. The
+    distance is exact outside it. Inside, it is a lower bound, exact except where solids overlap.
+    """
+    x, y, z = np.asarray(points, np.float64).T
+    signed = z.copy()
+    for low, high in city.boxes:
+        gaps = (np.maximum(low[0] - x, x - high[0]), np.maximum(low[1] - y, y - high[1]),
+                z - high[2])  # the underside of a box is not a surface
+        outside = np.sqrt(sum(np.maximum(gap, 0)**2 for gap in gaps))
+        signed = np.minimum(signed, outside + np.minimum(np.maximum.reduce(gaps), 0))
+    for *centre, radius in city.spheres:
+        signed = np.minimum(signed, np.linalg.norm(points - np.array(centre), axis=1) - radius)
+    return np.abs(signed)
 
 
 def contents(folder):
@@ -152,36 +172,32 @@ def test_the_same_seed_gives_the_same_bytes(scene, tmp_path):
                                                 if k.name != "cameras.bin")
 
 
-def test_geometry_is_read_back_exactly(scene):
-    stored, made = geometry.load(scene / "geometry.json"), lay_out((1, 1), 3)
-    for name in ("parks", "boxes", "kinds", "spheres"):
-        assert np.array_equal(getattr(stored, name), getattr(made, name))
-    assert (stored.seed, stored.blocks) == (3, (1, 1))
+def test_the_geometry_has_exactly_the_numbers_that_were_rendered(scene):
+    table, made = json.loads((scene / "geometry.json").read_text()), lay_out((1, 1), 3)
+    assert [[box["low"], box["high"]] for box in table["boxes"]] == made.boxes.tolist()
+    assert [geometry.KINDS.index(box["kind"]) for box in table["boxes"]] == made.kinds.tolist()
+    assert [[*each["centre"], each["radius"]] for each in table["spheres"]] == made.spheres.tolist()
+    assert (table["seed"], table["blocks"]) == (3, [1, 1])
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"seed": 0, "blocks": 3}'])
-def test_a_damaged_geometry_file_is_one_line(tmp_path, text):
-    path = tmp_path / "geometry.json"
-    path.write_text(text)
-    with pytest.raises(InputError, match="geometry.json") as caught:
-        geometry.load(path)
-    assert "\n" not in str(caught.value)
+@pytest.mark.parametrize("option, value", [
+    ("--blocks", "0x1"), ("--views", "2"), ("--size", "0x36"), ("--size", "big"), ("--seed", "-1")])
+def test_bad_numbers_are_refused_before_anything_is_written(tmp_path, option, value):
+    result = CliRunner().invoke(synth, ["-o", str(tmp_path / "scene"), option, value])
+    assert isinstance(result.exception, InputError) and not list(tmp_path.iterdir())
 
 
-def test_the_command_overwrites_only_with_the_flag(tmp_path):
-    folder = tmp_path / "scene"
-    arguments = ["-o", str(folder), "--blocks", "1x1", "--size", "16x16", "--views", "3"]
-    first = CliRunner().invoke(synth, arguments)
-    assert first.exit_code == 0 and "3 views of 16 x 16" in first.output
-    (folder / "images" / "999.jpg").write_bytes(b"stale")
-    assert isinstance(CliRunner().invoke(synth, arguments).exception, InputError)
-    assert CliRunner().invoke(synth, [*arguments, "--overwrite"]).exit_code == 0
-    assert not (folder / "images" / "999.jpg").exists()
-    bad = CliRunner().invoke(synth, [*arguments, "--size", "big"])
-    assert isinstance(bad.exception, InputError)
+def test_a_folder_that_is_not_empty_stays_as_it_is(scene, tmp_path):
+    before = contents(scene)
+    with pytest.raises(InputError, match="not empty"):
+        synthesise(scene, **TINY)
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match="is a file"):
+        synthesise(tmp_path / "file", **TINY)
+    assert contents(scene) == before
 
 
-def test_a_scene_is_written_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
+def test_a_scene_is_written_as_a_whole_or_not_at_all(tmp_path):
     folder = tmp_path / "scene"
 
     def stop(done, total):
@@ -193,5 +209,6 @@ def test_a_scene_is_written_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
     (tmp_path / "scene.part" / "images").mkdir(parents=True)
     (tmp_path / "scene.part" / "images" / "000.jpg.part").write_bytes(b"left by a kill")
-    synthesise(folder, **TINY)  # the same command again, without --overwrite
+    synthesise(folder, **TINY)
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]
+    assert not list(folder.rglob("*.part"))
