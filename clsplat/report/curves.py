@@ -22,20 +22,6 @@ def curve(records: Iterable[Record], x: str, y: str, event: str | None = None) -
     return columns[0], columns[1]
 
 
-def frequency_curves(records: Iterable[Record]) -> dict[str, dict[str, Curve]]:
-    """The scene frequencies in the step records over iterations, by variant and axis."""
-    samples = [{**(record.get("frequency") or {}), "iteration": record.get("iteration")}
-               for record in records if record.get("event") == "step"]
-    names = {name: None for sample in samples for name in sample if name != "iteration"}
-    curves: dict[str, dict[str, Curve]] = {}
-    for name in names:
-        x, y = curve(samples, "iteration", name)
-        if len(x):
-            variant, _, axis = name.rpartition("_")
-            curves.setdefault(variant, {})[axis] = x, y
-    return curves
-
-
 def value_at(line: Curve, x_at: float) -> float | None:
     """y of a curve at x = `x_at`, or None outside of the curve."""
     x, y = line

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
 
-from clsplat.report.curves import Curve, Record, band, curve, frequency_curves
+from clsplat.report.curves import Curve, Record, band, curve
 from clsplat.report.drawing import LABEL_COLOUR
 from clsplat.report.groups import Trained
 from clsplat.report.scores import UPHEAVALS, is_upheaval
@@ -139,28 +139,6 @@ def step_figure(records: Sequence[Record], narrow: bool = False) -> Figure | Non
         panels[2].yaxis.set_major_locator(MaxNLocator(5, integer=True))
     for axes in panels:
         _mark_changes(axes, records, named=axes is panels[0])
-    panels[-1].set_xlim(left=0)
-    panels[-1].set_xlabel("iteration")
-    return figure
-
-
-def frequency_figure(records: Sequence[Record], narrow: bool = False) -> Figure | None:
-    """The scene frequency over iterations, with a panel for each variant; None without a curve."""
-    variants = {variant: lines for variant, lines in frequency_curves(records).items()
-                if any(map(_is_curve, lines.values()))}
-    if not variants:
-        return None
-    figure = Figure(figsize=(NARROW if narrow else WIDE, 0.6 + 2.3 * len(variants)),
-                    layout="constrained")
-    panels = figure.subplots(len(variants), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (variant, lines) in zip(panels, variants.items()):
-        for colour, (axis, line) in zip(COLOURS, lines.items()):
-            axes.plot(*line, color=colour, label=axis, linewidth=1.3)
-        axes.set_title(f"{variant} frequency, 1 / world unit")
-        _logarithmic(axes)
-        _mark_changes(axes, records, named=axes is panels[0])
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3,
-                  title="over the three axes of a gaussian", alignment="left")
     panels[-1].set_xlim(left=0)
     panels[-1].set_xlabel("iteration")
     return figure

@@ -1,4 +1,4 @@
-"""The page of one run: pictures, scores, growth, loss, level changes and scene frequency."""
+"""The page of one run: pictures, scores, growth, loss and level changes."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from clsplat.options import TrainOptions
 from clsplat.report.city import city_sections
 from clsplat.report.curves import Record
 from clsplat.report.drawing import drawn
-from clsplat.report.figures import frequency_figure, score_figure, step_figure
+from clsplat.report.figures import score_figure, step_figure
 from clsplat.report.groups import full_name
 from clsplat.report.page import Table, folded, headed, html_of, page
 from clsplat.report.pictures import pictures_html
@@ -23,11 +23,6 @@ FACTS = ("command", "date", "scene", "scene_absolute", "fingerprint", "extent", 
          "opencl_device", "kernel_form", "version", "commit")
 PREDICTED = ("Held-out views have an exposure that follows from the training photos alone: {:.0%} "
              "interpolated between those before and after, the rest the mean of all.")
-FREQUENCY = (
-    "<p class=note>The scene frequency is the mean of 1 / size over the gaussians, weighted by how "
-    "visible each of them is: it rises as they become finer. The sig schedule continues with finer "
-    "images when it has stopped rising. It helps to understand the method, not to judge the model."
-    "</p>\n")
 
 
 def write_report(run: RunFolder, pictures: Pictures | None = None, scene: Scene | None = None
@@ -43,7 +38,6 @@ def write_report(run: RunFolder, pictures: Pictures | None = None, scene: Scene 
     scene : at the size of its photos, for the section Survey.
     """
     options, records = run.read_options(), run.past_records()
-    frequency = drawn("Scene frequency over iterations", frequency_figure, records)
     scores = drawn("PSNR and SSIM over training time", score_figure, records)
     sections = (
         pictures_html(pictures), survey_html(scene),
@@ -52,8 +46,7 @@ def write_report(run: RunFolder, pictures: Pictures | None = None, scene: Scene 
         headed("Growth and loss", drawn("Gaussians, loss and level over iterations",
                                          step_figure, records)),
         plan_table(records), level_table(records),
-        folded("Options", option_table(options).html()),
-        frequency and folded("Scene frequency", FREQUENCY + frequency))
+        folded("Options", option_table(options).html()))
     return run.write_report(page(full_name(run.path, options), lead(options, records),
                                  html_of(*sections), made=options))
 

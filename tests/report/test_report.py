@@ -12,7 +12,6 @@ from clsplat.report import run as run_page
 from clsplat.report.curves import (
     band,
     curve,
-    frequency_curves,
     reached,
     spread,
     value_at,
@@ -67,17 +66,6 @@ def test_spread():
     assert spread([4.0]) == (4.0, None) and spread([None]) == (None, None)
 
 
-def test_frequency_curves():
-    records = [{"event": "step", "iteration": 100, "frequency": None}, {"event": "step"},
-               {"event": "eval", "iteration": 200, "frequency": {"paper_mean": 9}},
-               {"event": "step", "iteration": 300, "frequency": {"paper_mean": 1, "paper_max": None,
-                                                                 "two_words_min": 2}}]
-    found = frequency_curves(records)
-    assert {variant: list(lines) for variant, lines in found.items()} == {
-        "paper": ["mean"], "two_words": ["min"]}
-    assert [list(part) for part in found["paper"]["mean"]] == [[300], [1]]
-
-
 def test_table():
     table = Table("Things", ("name", "size"), [("a<b", "10"), ("long name", "7")], (1,), ("note",))
     assert table.text() == "Things\nname       size\na<b          10\nlong name     7\nnote"
@@ -124,15 +112,11 @@ def test_the_report_of_a_run(tmp_path):
     path = write_report(run)
     assert path == run.path / "report.html"
     html = path.read_text()
-    assert Balanced(html).pictures == 3 and html.count("<source media=") == 3
+    assert Balanced(html).pictures == 2 and html.count("<source media=") == 2
     assert headings(html) == ["Scores over training time", "Growth and loss", "Plan",
                               "Level changes"]
     assert "<h1>city: run &lt;1&gt;</h1>" in html and "(10,000 steps)" in html
     assert "each level earns its share" in html and "5 → 4" in html and "deadline" in html
-    # the frequency is for who knows the method: last, folded, and explained
-    last = html.rindex("<details>")
-    assert html.index("Scene frequency</summary>") > last
-    assert "it rises as they become finer" in html[last:]
 
 
 @pytest.mark.slow
@@ -184,7 +168,6 @@ def test_a_figure_that_fails_is_a_line(tmp_path, monkeypatch):
         raise RuntimeError("no <font>\nmore of it")
 
     monkeypatch.setattr(run_page, "step_figure", fails)
-    monkeypatch.setattr(run_page, "frequency_figure", lambda records, narrow: None)
     html = write_report(made_run(tmp_path / "run")).read_text()
     assert "could not be drawn (no &lt;font&gt;)" in html and "Level changes" in html
     assert Balanced(html).pictures == 1
