@@ -49,6 +49,15 @@ def test_every_picture_is_small_and_shown_with_words():
     assert sum(path.stat().st_size for path in pictures(DOCS)) <= 5_000_000
 
 
+def test_the_page_of_the_design_names_files_that_are_there():
+    texts = [(DOCS / "design.md").read_text("utf-8"), *(
+        path.read_text("utf-8") for path in sorted((DOCS / "pictures").glob("*.svg")))]
+    names = set(re.findall(r"(?<![\w/.])((?:\w+/)+\w+\.(?:py|cl))\b", " ".join(texts)))
+    assert len(names) > 40
+    places = (ROOT / "clsplat", ROOT / "clsplat" / "training", ROOT)
+    assert not [name for name in names if not any((place / name).exists() for place in places)]
+
+
 def test_readme_begins_with_one_line_for_each_of_its_two_jobs_and_has_no_placeholder():
     text = (ROOT / "README.md").read_text("utf-8")
     blocks = re.findall(r"(?ms)^```\w*\n(.*?)^```", text)
