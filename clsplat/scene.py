@@ -17,12 +17,10 @@ from clsplat.georeference import Georeference
 from clsplat.placement.corrections import Correction
 from clsplat.placement.first_view import first_view
 from clsplat.placement.up import up_axis
-from clsplat.response import Response
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from clsplat.partition.region import Region
 
 NEAR_SHARE = 1 / 500  # of the extent, so that it suits scenes in any unit
 # below this share of the distance of the points (or with positions that differ only by rounding),
@@ -48,7 +46,6 @@ class View:
     depth : the file of its depth map (io/photos/depth.py); None: it has none.
     quarter_turns : how many clockwise quarter turns show the photo upright, by its EXIF.
     weighed : whether a training may leave out pixels of the photo (training/robust.py).
-    visits : how often a training visits it, in proportion to others.
     levels : 16-bit samples that become black and white (io/photos/levels.py); None: 0 and 65535.
     """
 
@@ -61,7 +58,6 @@ class View:
     depth: Path | None = None
     quarter_turns: int = 0
     weighed: bool = False
-    visits: float = 1.0
     levels: tuple[float, float] | None = None
 
     @property
@@ -105,11 +101,6 @@ class Scene:
     observations : int32[M, 2], the points that the sparse model saw in each view: distinct rows
         (point, view), sorted; None if the file does not tell.
     held_out : names of the test views, if the data set defines them; otherwise None.
-    region : the region that a block of a larger scene owns; otherwise None.
-    exposures : view name -> response of a view, from the coarse run; None: the scene is no part of
-        a city.
-    surroundings : the file of the gaussians around a block that its views show as layers; None:
-        all that they show is trained or frozen.
     notes : messages for the user about parts of the files that are not used or were interpreted.
     georeference : where the original coordinates lie on the earth; None: unknown.
     given_up : float64[3], the unit vector that points up, if the files or the user tell; None: it
@@ -125,9 +116,6 @@ class Scene:
     observations: NDArray[np.int32] | None = None
     unit: float = 1.0
     held_out: frozenset[str] | None = None
-    region: Region | None = None
-    exposures: dict[str, Response] | None = None
-    surroundings: Path | None = None
     notes: tuple[str, ...] = ()
     georeference: Georeference | None = None
     given_up: NDArray[np.float64] | None = None
@@ -235,25 +223,6 @@ class Scene:
             held_out = frozenset(view.name for view in self.views[test_offset::test_every])
         return (tuple(v for v in self.views if v.name not in held_out),
                 tuple(v for v in self.views if v.name in held_out))
-
-    def reached(self, positions: ArrayLike, spread: ArrayLike = 0.0) -> NDArray[np.bool_]:
-        """Which positions the region of a block reaches, its margin included.
-
-        Parameters
-        ----------
-        positions : float[N, 3], local.
-        spread : float[N] or one number, local units: the radius around the positions that counts.
-
-        Returns
-        -------
-        bool[N].
-        """
-        if self.region is None:
-            raise ValueError("a scene that is not a block has no region")
-        inside: NDArray[np.bool_] = self.region.reaches(
-            self.offset + self.unit * np.asarray(positions, np.float64),
-            self.unit * np.asarray(spread))
-        return inside
 
     def part(self, indices: Iterable[int]) -> Self:
         """The scene with some of its views, and the points that these see.

@@ -4,18 +4,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from clsplat.city.exchange import exchange, lacking_blocks, other_blocks, write_part
+from clsplat.city.exchange import exchange, lacking_blocks, other_blocks, write_owned
 from clsplat.city.jobs import Job, never
+from clsplat.city.scene import BlockScene
 from clsplat.config.option import differences
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted, StopTraining
 from clsplat.io.lock import LockTaken, latest_change
 from clsplat.io.runs.city import BlockFolder
 from clsplat.io.runs.run import OPTIONS, RunFolder
-from clsplat.io.scenes.read import read_scene
 from clsplat.io.scenes.write import DEPTH
 from clsplat.options import EARLIER, TrainOptions, checked_values, resolve
-from clsplat.scene import Scene
 from clsplat.training.checkpoint import Saved
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
@@ -36,7 +35,7 @@ class BlockJob(Job):
     Attributes
     ----------
     block : its folder.
-    until : the exchange, from 1, at which it stops once the block's part is written; 0: none.
+    until : the exchange, from 1, at which it stops once what others need is written; 0: none.
     alone : do without the exchanges that are left.
     """
 
@@ -135,13 +134,13 @@ def train_block(block: BlockFolder, options: TrainOptions,
             return BEFORE
         device = device or choose_device(options.device, form=options.form)
         others = other_blocks(block) if exchanges else []
-        scene = read_scene(block.path)
+        scene = BlockScene.read(block)
         saved: Saved | None = None  # what the latest exchange has made of the checkpoint
         for number, step in enumerate(exchanges, 1):
             if (taken := run.checkpoint_iteration()) <= step:
                 latest = (_go_on(block, scene, options, device, progress, step, saved, stopping)
                           if taken < step else None)
-                write_part(block, scene, number, latest)
+                write_owned(block, scene, number, latest)
                 del latest  # it takes as much memory as the exchange that follows
             if number == until:
                 return f"stops at exchange {number} of {len(exchanges)}, after step {step}"
@@ -156,7 +155,7 @@ def train_block(block: BlockFolder, options: TrainOptions,
     return "finished"
 
 
-def _go_on(block: BlockFolder, scene: Scene, options: TrainOptions, device: Device,
+def _go_on(block: BlockFolder, scene: BlockScene, options: TrainOptions, device: Device,
            progress: SilentProgress | None, until: int, saved: Saved | None,
            stopping: Callable[[], bool]) -> Saved | None:
     """Train until a step, or to the end if that is 0, from what is saved, or else from the run's
@@ -164,9 +163,7 @@ def _go_on(block: BlockFolder, scene: Scene, options: TrainOptions, device: Devi
     step, None at the end."""
     run, latest = RunFolder(block.run), list[Saved]()
     noted = NotedProgress(run.path, progress or SilentProgress())
-    if run.checkpoint_iteration() and block.around.is_file():
-        block.check_own(block.around)
-        scene = replace(scene, surroundings=block.around)
+    parts = scene.parts(options)
     stop_at = min(filter(None, (until, options.stop_at)), default=0)
     changed = replace(options, stop_at=stop_at)
 
@@ -180,10 +177,11 @@ def _go_on(block: BlockFolder, scene: Scene, options: TrainOptions, device: Devi
 
     try:
         if run.is_begun:
-            resume(scene, changed, device, run, noted, (stop,), on_save=keep, saved=saved)
+            resume(scene.scene, changed, device, run, noted, (stop,), on_save=keep, saved=saved,
+                   parts=parts)
         else:
-            train(scene, changed, device, RunFolder.create(run.path), noted, (stop,),
-                  on_save=keep)
+            train(scene.scene, changed, device, RunFolder.create(run.path), noted, (stop,),
+                  on_save=keep, parts=parts)
     except Interrupted as stopped:
         if (not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at
                 or stopping()):

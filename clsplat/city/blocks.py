@@ -62,12 +62,13 @@ def train_blocks(city: CityFolder, workers: Workers, device: Device,
 def jobs_of(city: CityFolder, blocks: Sequence[BlockFolder]) -> Iterator[BlockJob]:
     """The trainings of blocks to their first exchange, those to the next one, and to the end.
 
-    A block that was finished without exchanges has written no parts, and has no jobs for them.
+    A block that was finished without exchanges has written no files for them, and has no jobs for
+    them.
     """
     stages = 1 + max((len(block.exchanges) for block in blocks), default=0)
     for stage in range(1, stages + 1):
         for block in blocks:
-            if stage == stages or block.part(stage).exists() or not RunFolder(
+            if stage == stages or block.exchanged(stage).exists() or not RunFolder(
                     block.run).is_finished:
                 needed = [block, *map(city.block, block.others)] if stage > 1 else []
                 yield job_of(block, stage if stage < stages else 0, stages, tuple(
@@ -87,12 +88,12 @@ def job_of(block: BlockFolder, until: int = 0, stages: int = 1, after: tuple[str
     options = block.read()["options"]
     return BlockJob(_name(block, until or stages, stages), block.run,
                     str(options.get("device", "auto")), str(options.get("form", "auto")), after,
-                    block.part(until) if until else RunFolder(block.run).model_path,
+                    block.exchanged(until) if until else RunFolder(block.run).model_path,
                     block, until, alone)
 
 
 def _name(block: BlockFolder, stage: int, stages: int) -> str:
-    return block.path.name + (f", part {stage} of {stages}" if stages > 1 else "")
+    return block.path.name + (f", stage {stage} of {stages}" if stages > 1 else "")
 
 
 def by_block(outcomes: Iterable[Outcome]) -> dict[str, Outcome]:

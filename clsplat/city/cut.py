@@ -3,7 +3,6 @@
 import dataclasses
 import json
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from clsplat.io.ahead import called_ahead
 from clsplat.io.atomic import replacing
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
-from clsplat.io.runs.city import DENSE, EXCHANGES, LAYERS, OTHERS, PARTITION, CityFolder
+from clsplat.io.runs.city import DENSE, EXCHANGES, OTHERS, PARTITION, CityFolder
 from clsplat.options import RunOptions, TrainOptions
 from clsplat.partition.blocks import block_start, filled
 from clsplat.partition.input import world_of
@@ -34,7 +33,6 @@ from clsplat.partition.windows import find_windows, owned_shares
 from clsplat.report.map import write_map
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
-from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import THREADS
 from clsplat.training.start.facts import scene_facts, smallest_size
 
@@ -95,7 +93,6 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     visits = visits_of_blocks(partition, scene, gaussians, owner, requested_of(city).get(
         "block_steps", BLOCK_STEPS))
     steps = [one_run / len(views) * each.sum() for each in visits]
-    surroundings = surroundings_of(city, options)
     exchanges = planned_exchanges(city, options, steps)
 
     def write(number: int) -> None:
@@ -104,10 +101,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
                                   observations=None)
         windows = find_windows(gaussians, scene, region, own.views)
         own = own.cropped(windows).reduced(options.downscale, options.max_resolution)
-        compared: dict[str, int] = {}
-        part = block_start(gaussians, scene, region, own.views, partial(
-            takes_layers, surroundings, dataclasses.replace(own, region=region),
-            decided, compared))
+        part = block_start(gaussians, scene, region, own.views)
         if dense:
             part = filled(part, dense, scene, region, options.max_gaussians)
         given = block_steps(options, steps[number], smallest_size(own.views), facts)
@@ -117,12 +111,10 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
             number, scene, chosen, region, windows, part.gaussians, exposures,
             options_of_blocks(given, decided),
             {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
-             "surroundings": part.surroundings, **compared,
-             **({} if part.around is None else {LAYERS: part.around.count}),
+             "surroundings": part.surroundings,
              **({DENSE: part.dense} if dense else {}),
              OTHERS: sorted(set(owner[part.indices].tolist()) - {-1, number}),
              **({EXCHANGES: exchange_steps(given["iterations"], exchanges)} if exchanges else {})},
-            part.around,
             {view.name: float(each) for view, each in zip(own.views, visits[number])})
 
     numbers = ((number,) for number in range(len(partition.regions)))
@@ -167,37 +159,6 @@ def planned_exchanges(city: CityFolder, options: RunOptions, steps: Sequence[flo
     if options.time_budget or len(steps) < 2:
         return 0
     return min(requested, *(most_exchanges(round(number)) for number in steps))
-
-
-def surroundings_of(city: CityFolder, options: TrainOptions) -> str:
-    """What the blocks of a city do with their surroundings: layers, gaussians or auto.
-
-    Layers have no depth, so blocks that need it hold all gaussians. A partition that does not
-    record the choice is of a version without layers.
-    """
-    if options.depth or options.reproject != "off":
-        return "gaussians"
-    return str(requested_of(city).get("surroundings", "gaussians"))
-
-
-def takes_layers(surroundings: str, scene: Scene, decided: dict[str, Any],
-                 compared: dict[str, int], around: Gaussians) -> bool:
-    """Whether a block draws these gaussians around it as layers.
-
-    Parameters
-    ----------
-    surroundings : layers, gaussians, or auto for whichever takes fewer bytes.
-    scene : the block's, with the whole scene's frame.
-    decided : options that the coarse run decided (`decided_by`).
-    compared : receives what decided, for block.json.
-    around : in that frame.
-    """
-    if surroundings != "auto":
-        return surroundings == "layers"
-    layers, gaussians = compared_bytes(scene, around, decided["sh_degree"],
-                                       decided["exposure"] == "on")
-    compared |= {"layers_bytes": layers, "gaussians_bytes": gaussians}
-    return layers < gaussians
 
 
 def block_steps(options: TrainOptions, steps: float, size: tuple[int, int], facts: SceneFacts

@@ -2,13 +2,13 @@
 
 A block trains a margin that other blocks own, and draws what lies beyond as the coarse run left it;
 after merging, its own gaussians stand beside others than those that they were trained with. At an
-exchange, every block writes what it owns into a file, its part. Then each puts the parts of the
-others in place of its margin and its surroundings, and goes on. Blocks still take the same number
-of steps. This is the alternating method of Schwarz (1870) for domains that overlap; DOGS (Chen and
-Lee, 2024) reaches the same aim with averages of what blocks share.
+exchange, every block writes what it owns into a file. Then each puts what others own in place of
+its margin and its surroundings, and goes on. Blocks still take the same number of steps. This is
+the alternating method of Schwarz (1870) for domains that overlap; DOGS (Chen and Lee, 2024) reaches
+the same aim with averages of what blocks share.
 
-What a block goes on from follows from parts alone, and a part is written once: so a block that is
-killed during an exchange repeats it, and ends in the same bytes.
+What a block goes on from follows from these files alone, and each is written once: so a block that
+is killed during an exchange repeats it, and ends in the same bytes.
 """
 
 from collections.abc import Iterable
@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.city.scene import BlockScene
 from clsplat.errors import InputError
-from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.models.ply import START, start_comment, write_ply
+from clsplat.io.models.ply import START
 from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.records import object_of
-from clsplat.io.runs.city import LAYERS, BlockFolder, CityFolder
+from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.partition.blocks import block_start, trainable
@@ -35,11 +36,11 @@ from clsplat.training.recorder import LOG_EVERY
 STATISTICS = ("statistics.grad_norm_sum", "statistics.seen_count")
 SCALES = "row.log_scales"
 PLACED = ("row.positions", SCALES, "row.quaternions")  # where a gaussian is, and how large
-# arrays of a part -> power of a length; gradients by positions have one over a length
+# arrays of what is owned -> power of a length; gradients by positions have one over a length
 LENGTHS = {"row.max_offsets": 1, "m.positions": -1, "v.positions": -2}
-PARTS_TOGETHER = 4  # that are read at the same time, so that not all of them are in memory
+READ_TOGETHER = 4  # files, so that not all of them are in memory
 DAMAGED = "damaged"
-CITY = "city"  # key of block.json, and of a part: the fingerprint of the whole scene
+CITY = "city"  # key of block.json, and of these files: the fingerprint of the whole scene
 
 
 def exchange_steps(steps: int, count: int) -> list[int]:
@@ -61,24 +62,23 @@ def most_exchanges(steps: int) -> int:
     return steps // (2 * LOG_EVERY)
 
 
-def write_part(block: BlockFolder, scene: Scene, number: int, saved: Saved | None) -> None:
+def write_owned(block: BlockFolder, own: BlockScene, number: int, saved: Saved | None) -> None:
     """Write what a block owns, with Adam's moments, unless that was done before.
 
     Parameters
     ----------
     block : its folder.
-    scene : in that folder, as it was read.
+    own : the block, as it was read.
     number : of the exchange, from 1.
     saved : the checkpoint at the exchange; None: that of the block's run is read.
     """
-    path = block.part(number)
+    path = block.exchanged(number)
     if path.exists():
         return
-    scene = scene.normalised()
-    assert scene.region is not None
+    scene = own.scene.normalised()
     arrays, _ = saved or RunFolder(block.run).load_checkpoint(_is_by_gaussian)
     arrays = {name: values for name, values in arrays.items() if _is_by_gaussian(name)}
-    owned = scene.region.owns(scene.offset + scene.unit * arrays["row.positions"].astype(float))
+    owned = own.region.owns(scene.offset + scene.unit * arrays["row.positions"].astype(float))
     with replacing(path) as file:
         write_npz(file, {**{name: values[owned] for name, values in arrays.items()},
                          STATE: state_array({"unit": scene.unit, "offset": scene.offset.tolist(),
@@ -100,7 +100,7 @@ def other_blocks(block: BlockFolder) -> list[BlockFolder]:
 
 
 def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
-    """Names of the blocks without whose parts a block cannot do an exchange.
+    """Names of the blocks without whose files a block cannot do an exchange.
 
     Parameters
     ----------
@@ -114,71 +114,52 @@ def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
     for other in others:
         if other.is_there:
             other.check()
-    return [other.path.name for other in others if not other.part(number).is_file()]
+    return [other.path.name for other in others if not other.exchanged(number).is_file()]
 
 
-def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
+def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder],
              options: SceneOptions, number: int, run: RunFolder) -> Saved:
-    """Replace a block's margin and surroundings by the parts of other blocks.
+    """Replace a block's margin and surroundings by what other blocks own.
 
-    Returns the checkpoint from which the block goes on; that of its run stays as it is. What its
-    views show as layers is written into its run. Gaussians of the margin bring the moments of their
-    owner.
+    Returns the checkpoint from which the block goes on; that of its run stays as it is. Gaussians
+    of the margin bring the moments of their owner.
 
     Parameters
     ----------
-    block : no part of the exchange lacks.
-    scene : in its folder, as it was read.
+    block : no file of the exchange lacks.
+    read : the block, as it was read.
     others : its `other_blocks`.
     options : of its training.
     number : of the exchange, from 1.
-    run : of the block, with a checkpoint at the exchange; its rows are in the block's part.
+    run : of the block, with a checkpoint at the exchange; its rows are in the block's file.
     """
     record = block.read()
     arrays, state = run.load_checkpoint(lambda name: not _is_by_gaussian(name))
-    scene = scene.reduced(options.downscale, options.max_resolution).normalised()
-    region = scene.region
-    assert region is not None
-    own = Part(block, number, record)
-
-    def taken_from(other: BlockFolder) -> tuple[Arrays, Arrays]:
-        """What the block holds of another one, and what it draws as layers."""
-        part = Part(other, number, record)
-        placed = _in_frame_of(scene, {name: part.rows[name] for name in PLACED}, part.frame)
+    scene = read.scene.reduced(options.downscale, options.max_resolution).normalised()
+    region = read.region
+    def taken_from(other: BlockFolder) -> Arrays:
+        """What the block holds of another one."""
+        owned = Owned(other, number, record)
+        placed = _in_frame_of(scene, {name: owned.rows[name] for name in PLACED}, owned.frame)
         start = block_start(
             Gaussians.padded({name.removeprefix("row."): rows for name, rows in placed.items()}),
-            scene, region, scene.views, lambda _: LAYERS in record)
-        held, drawn = np.split(start.indices, [start.gaussians.count])
-        taken = _in_frame_of(scene, part.arrays(held), part.frame)
-        around = _in_frame_of(scene, {name: values[drawn] for name, values in part.rows.items()},
-                              part.frame)
-        for rows, gaussians in ((taken, start.gaussians), (around, start.around)):
-            if gaussians:  # which may be thinned
-                rows[SCALES] = gaussians.log_scales.astype(part.rows[SCALES].dtype)
-        return taken, around
+            scene, region, scene.views)
+        taken = _in_frame_of(scene, owned.arrays(start.indices), owned.frame)
+        # which may be thinned
+        taken[SCALES] = start.gaussians.log_scales.astype(owned.rows[SCALES].dtype)
+        return taken
 
-    def write_around() -> None:
-        """Write what the block draws as layers."""
-        rows = {field.name: np.concatenate([around[f"row.{field.name}"] for _, around in found]
-                                           or [own.rows[f"row.{field.name}"][:0]])
-                for field in LEARNED}
-        write_ply(block.around, Gaussians(rows, own.degree).scaled(scene.unit), scene.offset,
-                  start_comment(block.start()))
-
-    with ThreadPoolExecutor(PARTS_TOGETHER) as threads:
+    with ThreadPoolExecutor(READ_TOGETHER) as threads:
         found = list(threads.map(taken_from, others))
-        written = threads.submit(write_around) if LAYERS in record else None
-        owned = own.arrays()
+        owned = Owned(block, number, record).arrays()
         new = dict(zip(owned, threads.map(lambda name: np.concatenate(
-            [owned[name], *(taken[name] for taken, _ in found)]), owned)))
-        if written:
-            written.result()
-    trains = trainable(scene, new["row.positions"], new[SCALES])
+            [owned[name], *(taken[name] for taken in found)]), owned)))
+    trains = trainable(scene, region, new["row.positions"], new[SCALES])
     return {**arrays, **new, "frozen.rows": (~trains).astype(np.uint32),
             "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
 
 
-class Part:
+class Owned:
     """What a block owned at an exchange, in its file.
 
     Raises InputError if the file is damaged, or of another city.
@@ -197,7 +178,7 @@ class Part:
     """
 
     def __init__(self, block: BlockFolder, number: int, record: dict[str, Any]) -> None:
-        path = block.part(number)
+        path = block.exchanged(number)
         self._path, self._cure = path, f"remove {path.parent}, and train that block again"
         self.rows = read_npz(path, DAMAGED, self._cure, lambda name: name == STATE or _is_row(name))
         try:
@@ -237,31 +218,31 @@ class Part:
         return InputError(f"{self._path}: {DAMAGED} ({error}); {self._cure}")
 
 
-def _in_frame_of(scene: Scene, part: Arrays, frame: dict[str, Any]) -> Arrays:
-    """Rows of a part, and their moments, in the frame of another block.
+def _in_frame_of(scene: Scene, owned: Arrays, frame: dict[str, Any]) -> Arrays:
+    """Rows that a block owns, and their moments, in the frame of another block.
 
     Parameters
     ----------
     scene : of that block.
-    part : some or all arrays of a part.
-    frame : the state of the part.
+    owned : some or all arrays of an `Owned`.
+    frame : of the same.
     """
     factor = frame["unit"] / scene.unit
-    moved = dict(part)
+    moved = dict(owned)
     for name in ("row.positions", "row.anchors"):
-        if name in part:
-            world = np.asarray(frame["offset"]) + frame["unit"] * part[name].astype(float)
-            moved[name] = ((world - scene.offset) / scene.unit).astype(part[name].dtype)
+        if name in owned:
+            world = np.asarray(frame["offset"]) + frame["unit"] * owned[name].astype(float)
+            moved[name] = ((world - scene.offset) / scene.unit).astype(owned[name].dtype)
     for name, power in LENGTHS.items():
-        if name in part:
-            moved[name] = (part[name] * factor**power).astype(part[name].dtype)
-    if SCALES in part:
-        moved[SCALES] = (part[SCALES] + np.log(factor)).astype(part[SCALES].dtype)
+        if name in owned:
+            moved[name] = (owned[name] * factor**power).astype(owned[name].dtype)
+    if SCALES in owned:
+        moved[SCALES] = (owned[SCALES] + np.log(factor)).astype(owned[SCALES].dtype)
     return moved
 
 
 def _is_by_gaussian(name: str) -> bool:
-    """Whether an array of a checkpoint that a part has too has a row a gaussian."""
+    """Whether an array of a checkpoint that an `Owned` has too has a row a gaussian."""
     return _is_row(name) or name.partition(".")[0] in ("m", "v") or name in STATISTICS
 
 

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from clsplat.city.block import block_options
+from clsplat.city.scene import BlockScene
 from clsplat.device import Device
 from clsplat.estimate.cost import fitted, pixels
 from clsplat.estimate.forecast import MIB, Forecast, Planned
 from clsplat.estimate.measured import LEAST_STEPS, MeasuredSteps
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import LEARNED
-from clsplat.io.runs.city import DENSE, EXCHANGES, LAYERS, CityFolder
+from clsplat.io.runs.city import DENSE, EXCHANGES, CityFolder
 from clsplat.io.scenes.options import SceneOptions
-from clsplat.io.scenes.read import read_scene
 from clsplat.options import ScheduledOptions
 from clsplat.partition.grid import makespan
 from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, PartitionOptions
@@ -142,26 +142,26 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
     steps = [record["options"]["iterations"] for _, record in records]
     rows: list[tuple[str, ...]] = [
         (block.path.name, f"{count:,}", f"{record['margin']:,}", f"{record['surroundings']:,}",
-         f"{record.get(LAYERS, 0):,}", f"{record.get(DENSE, 0):,}", f"{record['views']}",
+         f"{record.get(DENSE, 0):,}", f"{record['views']}",
          f"{taken:,}")
         for (block, record), count, taken in zip(records, counts, steps)]
-    head: tuple[str, ...] = ("block", "gaussians", "margin", "around", "in layers", "dense",
+    head: tuple[str, ...] = ("block", "gaussians", "margin", "around", "dense",
                              "views", "steps")
     note = ("Gaussians: of the coarse run; around: those that the block holds without training "
-            "them; in layers: those that it only draws, once for each view, where that takes less "
-            "memory (--surroundings); dense: those that begin at dense points, in gaps of the "
+            "them; dense: those that begin at dense points, in gaps of the "
             "coarse model (--init sfm leaves them out).")
     ends = {workers: makespan(steps, workers) for workers in DEVICES}
     if device is None:
         shares = ", ".join(f"{end / sum(steps):.0%} on {workers}" for workers, end in ends.items())
-        return Table("Blocks", head, rows, range(1, 8), (
+        return Table("Blocks", head, rows, range(1, 7), (
             f"{note} The last block ends after about this share of the time that all blocks take "
             f"on one device: {shares} (--workers).",))
     initial = [sum(record[key] for key in ("own", "margin", "surroundings"))
                + record.get(DENSE, 0) for _, record in records]
     largest = records[initial.index(max(initial))][0]
     known = coarse_steps(city, device)
-    planned = Planned(read_scene(largest.path), block_options(largest), device)
+    block, options = BlockScene.read(largest), block_options(largest)
+    planned = Planned(block.scene, options, device, parts=block.parts(options))
     forecast = planned.forecast(known)
     if known and forecast.seconds / forecast.steps * sum(steps) > TRIAL_WORTH:
         known, forecast = [], planned.forecast()
@@ -170,7 +170,7 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
              f"{forecast.memory.total * count / max(initial) / MIB:,.0f}", f"{each * taken:.1f}")
             for row, count, taken in zip(rows, initial, steps)]
     times = ", ".join(f"{each * end:.1f} on {workers}" for workers, end in ends.items())
-    return Table("Blocks", (*head, "at the end", "MiB", "minutes"), rows, range(1, 11), (
+    return Table("Blocks", (*head, "at the end", "MiB", "minutes"), rows, range(1, 10), (
         f"{note} The number at the end, MiB and minutes are forecasts for a block that has "
         f"{device.name} to itself, from steps of "
         f"{COARSE_NOTE if known else f'block {largest.path.name}'}. All blocks take "

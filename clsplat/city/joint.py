@@ -18,6 +18,7 @@ import numpy as np
 from clsplat.city.cut import JOINT
 from clsplat.city.dense import dense_gaussians
 from clsplat.city.merge import Merged
+from clsplat.city.parts import Stage
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -33,6 +34,8 @@ from clsplat.partition.input import world_of
 from clsplat.partition.partition import Partition
 from clsplat.scene import Scene
 from clsplat.training.loop import resume, train
+from clsplat.training.part import Part
+from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
 
@@ -69,12 +72,15 @@ def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged:
     begin_with(city, scene, merged.gaussians, options.seed)
     if not run.has_model:
         whole = dataclasses.replace(
-            undistorted(with_depths(scene, options.depth), city.undistorted, THREADS), notes=(),
-            exposures=RunFolder(city.coarse).load_exposures() or {})
+            undistorted(with_depths(scene, options.depth), city.undistorted, THREADS), notes=())
+        together = joint_options(city, given, options, merged.count)
+        parts: list[Part] = [Stage()]
+        if together.exposure == "on":
+            parts.append(PhotoResponses(RunFolder(city.coarse).load_exposures()))
         with run.locked():
             start = resume if run.is_begun else train
-            start(whole, joint_options(city, given, options, merged.count), device,
-                  run if run.is_begun else RunFolder.create(city.joint), progress)
+            start(whole, together, device, run if run.is_begun else RunFolder.create(city.joint),
+                  progress, parts=parts)
     if (began := start_of(run.model_path)) and began != digest_of(city.joint_start):
         raise InputError(f"{run.path}: is the joint training of another city or partition, as it "
                          f"did not begin at {city.joint_start}; remove it, and give the same "

@@ -30,12 +30,10 @@ class ScoredView(Protocol):
     ----------
     camera : real[27], packed.
     photo : uchar[3 or 4, H, W].
-    backdrop : as for `Renderer.render`.
     """
 
     camera: Array
     photo: Array
-    backdrop: Array | None
 
 
 def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
@@ -67,7 +65,7 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
     scores = np.zeros(len(gradient))
     for view in views:
         photo, (_, height, width) = view.photo, view.photo.shape
-        frame = renderer.render(rows, view.camera, width, height, sh_degree, backdrop=view.backdrop)
+        frame = renderer.render(rows, view.camera, width, height, sh_degree)
         loss, visible, of_view = _seen(renderer.device, frame, photo, ssim_weight)
         values = {"gradient": gradient[visible], "opacity": opacity[visible],
                   "volume": volume[visible], **of_view}

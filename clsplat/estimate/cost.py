@@ -29,7 +29,6 @@ from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
 from clsplat.schedule.plan import size_at
 from clsplat.schedule.simulate import Segment
-from clsplat.training.layers import layer_array
 from clsplat.training.model import ENGINES, Model
 from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
 from clsplat.training.progress import SilentProgress
@@ -220,7 +219,7 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
         frame = float(np.dot(cost, (1, pixels(views, segment.level), count)))
         steps = max(steps, stays + int(frame) + sum(_model_bytes(device, prepared, rows, count)))
     return Memory(max(total, steps), steps,
-                  max(each.photos * each.resident for each in of_views.values()),
+                  max(each.nbytes * each.resident for each in of_views.values()),
                   all(each.resident for each in of_views.values()),
                   sum(_model_bytes(device, prepared, rows, count)))
 
@@ -232,7 +231,6 @@ class ViewMemory:
     ----------
     photos : bytes of the photos, or if these are read at each use of the largest one.
     resident : whether the photos stay on the device.
-    nbytes : with what the views of a block show of its surroundings, in front and behind.
     """
 
     def __init__(self, device: Device, prepared: PreparedScene, level: float) -> None:
@@ -240,10 +238,7 @@ class ViewMemory:
         sizes = [photo_array(view).nbytes(device.real) for view in shown]
         spare = DEVICE_SHARE * device.handle.global_mem_size - sum(sizes)
         self.resident = spare >= 0
-        self.photos = self.nbytes = sum(sizes) if self.resident else max(sizes)
-        if prepared.surroundings:
-            layers = [layer_array(view, True).nbytes(device.real) for view in shown]
-            self.nbytes += sum(layers) if sum(layers) <= spare else max(layers)
+        self.nbytes = sum(sizes) if self.resident else max(sizes)
 
 
 def _model_bytes(device: Device, prepared: PreparedScene, names: Iterable[str], count: int

@@ -1,7 +1,7 @@
 """Plans a training: its decisions, and a forecast of its memory and time."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from clsplat.device import Device
 from clsplat.estimate.cost import (
@@ -19,7 +19,7 @@ from clsplat.options import ScheduledOptions, TrainOptions, seconds_of
 from clsplat.scene import Scene
 from clsplat.schedule import laid_over
 from clsplat.schedule.simulate import Segment, largest, simulate
-from clsplat.training.part import Decision
+from clsplat.training.part import Decision, Part
 from clsplat.training.photo_store import MEMORY_BYTES
 from clsplat.training.photos import DEVICE_SHARE, reading_bytes
 from clsplat.training.progress import SilentProgress
@@ -59,7 +59,7 @@ class Planned:
 
     Parameters
     ----------
-    scene, options, device : see `training.session.prepare`.
+    scene, options, device, parts : see `training.prepare.prepare`.
     progress : receives what is being done.
 
     Attributes
@@ -68,10 +68,10 @@ class Planned:
     """
 
     def __init__(self, scene: Scene, options: TrainOptions, device: Device,
-                 progress: SilentProgress | None = None) -> None:
+                 progress: SilentProgress | None = None, parts: Iterable[Part] = ()) -> None:
         self.device, self.progress = device, progress or SilentProgress()
         self.progress.phase("planning: inspecting the photos")
-        self.prepared = prepare(scene, options, device)
+        self.prepared = prepare(scene, options, device, parts)
         self._details: dict[float, float] = {}  # level -> `photo_detail`
 
     def forecast(self, known: Sequence[TimedStep] = ()) -> Forecast:

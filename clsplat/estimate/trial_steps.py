@@ -8,13 +8,10 @@ import numpy as np
 from clsplat.camera import Camera
 from clsplat.device import Array, Device
 from clsplat.gaussians import Gaussians
-from clsplat.rendering.blend import FRONT_AND_BACK_PLANES
 from clsplat.rendering.options import RenderingOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene, View
 from clsplat.schedule import Plan
-from clsplat.training.layers import Layers
-from clsplat.training.parts.backdrop import Backdrop
 from clsplat.training.photos import Photos, at_level, decode
 from clsplat.training.session import Session
 from clsplat.training.start.prepare import PreparedScene
@@ -55,11 +52,10 @@ class TrialSteps:
 
     @property
     def view_bytes(self) -> int:
-        """Device memory of the photos, and of what surrounds a block in them."""
-        backdrop = self.session.part(Backdrop)
-        return sum(images.nbytes for images in (
-            self.session.photos, backdrop.layers if backdrop else None)
-            if isinstance(images, (SizedPhotos, SizedLayers)))
+        """Device memory of the photos."""
+        photos = self.session.photos
+        assert isinstance(photos, SizedPhotos)  # it is a trial session
+        return photos.nbytes
 
 
 def trial_plan(options: RenderingOptions, level: float, regularises: bool) -> Plan:
@@ -98,39 +94,10 @@ class SizedPhotos(Photos):
         return sum(photo.nbytes for photo in self._photos.values())
 
 
-class SizedLayers(Layers):
-    """Layers where only the sizes matter, of surroundings that are nowhere."""
-
-    resident = True
-
-    def __init__(self, device: Device, views: Sequence[View], level: float) -> None:
-        self._cameras = [view.camera for view in at_level(views, level)]
-        self.device, self._layers = device, dict[tuple[int, int], Array]()
-
-    def use(self, level: float, views: Sequence[View], spare_bytes: float) -> None:
-        """Do nothing, as there is a single level."""
-
-    def __getitem__(self, index: int) -> Array:
-        camera = self._cameras[index]
-        size = camera.height, camera.width
-        if size not in self._layers:
-            planes = np.zeros((FRONT_AND_BACK_PLANES, *size), np.uint8)
-            planes[-1] = 255  # clear
-            self._layers[size] = self.device.upload(planes)
-        return self._layers[size]
-
-    @property
-    def nbytes(self) -> int:
-        """Device memory of the layers so far."""
-        return sum(layers.nbytes for layers in self._layers.values())
-
-
 def trial_session(prepared: PreparedScene, device: Device, gaussians: Gaussians,
                   level: float) -> Session:
     """A session at a level, with photos of the right sizes."""
-    backdrop = ([Backdrop(SizedLayers(device, prepared.train_views, level))]
-                if prepared.scene.surroundings else [])
-    return Session(prepared, device, gaussians, parts=backdrop,
+    return Session(prepared, device, gaussians,
                    photos=SizedPhotos(device, prepared.train_views, level))
 
 

@@ -6,15 +6,13 @@ rest of the scene. These surroundings are frozen as the coarse run left them. If
 they would compensate for errors of the block's own gaussians, in a different way in every block:
 after merging, caliterra then lost 4 dB. A gaussian that the block owns but
 that extends beyond its reach, such as haze, is frozen for the same reason: every block trains its
-other gaussians with the same haze. Merging drops margin and surroundings. Of the surroundings, the
-model holds those that enter what the block reaches; the others are drawn once for each view, as
-layers (surroundings.py, clsplat/training/layers.py) where that takes less memory. A block reads
-only the windows of its photos that show what it reaches.
+other gaussians with the same haze. Merging drops margin and surroundings. A block reads only the
+windows of its photos that show what it reaches.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -24,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from clsplat.gaussians import Gaussians
 from clsplat.partition.clusters import Clusters
-from clsplat.partition.surroundings import enters_reach
+from clsplat.partition.input import world_of
 
 if TYPE_CHECKING:
     from clsplat.camera import Camera
@@ -42,12 +40,10 @@ class BlockStart:
     Attributes
     ----------
     gaussians : the model.
-    indices : int[K], where the gaussians of the model and then those of `around` are among those
-        of the whole.
+    indices : int[K], where the gaussians of the model are among those of the whole.
     own : in the block's cell.
     margin : in the margin around the cell.
     surroundings : farther away; the model holds them, frozen.
-    around : those that are drawn as layers instead; None: the model holds all.
     unseen : left out because no view of the block shows them.
     thinned : left out because they are smaller than a pixel, and others were enlarged instead.
     dense : added at dense points (`filled`); they are last in the model.
@@ -58,14 +54,13 @@ class BlockStart:
     own: int
     margin: int
     surroundings: int
-    around: Gaussians | None
     unseen: int
     thinned: int
     dense: int = 0
 
 
-def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View],
-                as_layers: Callable[[Gaussians], bool] | None = None) -> BlockStart:
+def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]
+                ) -> BlockStart:
     """Choose the gaussians that the block of a region starts from.
 
     Surroundings that are smaller than a pixel in every view are thinned: where two standard
@@ -81,13 +76,10 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     scene : the whole scene.
     region : the block's cell and margin.
     views : of the block, with cameras of the size they are trained at (`Scene.reduced`).
-    as_layers : whether these surroundings, which do not enter the block's reach, are drawn as
-        layers; None: the model holds them.
     """
-    scene = replace(scene, region=region)
     positions = gaussians.positions.astype(np.float64)
-    reached = scene.reached(positions)
-    own = region.owns(scene.offset + scene.unit * positions)
+    reached = region.reaches(world_of(scene, positions))
+    own = region.owns(world_of(scene, positions))
     rest = ~reached
     size = np.ones(len(positions))
     deviations = np.exp(np.maximum.reduce(gaussians.log_scales[rest].T))
@@ -96,19 +88,9 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     keeps = np.random.default_rng(0).random(len(size)) < size**2
     rows = {name: values[keeps] for name, values in gaussians.rows.items()}
     rows["log_scales"] = (rows["log_scales"] - np.log(size[keeps])[:, None]).astype(np.float32)
-    unseen, kept, around = int((size == 0).sum()), Gaussians(rows, gaussians.sh_degree), None
-    indices = np.flatnonzero(keeps)
-    surroundings = int((keeps & rest).sum())
-    if as_layers:
-        held = enters_reach(scene, kept)
-        inside, outside = (Gaussians({name: values[which] for name, values in rows.items()},
-                                     gaussians.sh_degree) for which in (held, ~held))
-        if as_layers(outside):
-            kept, around = inside, outside
-            surroundings -= outside.count
-            indices = np.concatenate([indices[held], indices[~held]])
-    return BlockStart(kept, indices, int(own.sum()), int((reached & ~own).sum()), surroundings,
-                      around, unseen, int((~keeps).sum()) - unseen)
+    unseen, kept = int((size == 0).sum()), Gaussians(rows, gaussians.sh_degree)
+    return BlockStart(kept, np.flatnonzero(keeps), int(own.sum()), int((reached & ~own).sum()),
+                      int((keeps & rest).sum()), unseen, int((~keeps).sum()) - unseen)
 
 
 def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, most: int = 0
@@ -125,7 +107,7 @@ def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, mo
     most : gaussians of the result, if it begins with fewer; 0: any number.
     """
     positions = dense.positions.astype(np.float64)
-    added = np.flatnonzero(replace(scene, region=region).reached(positions))
+    added = np.flatnonzero(region.reaches(world_of(scene, positions)))
     if start.gaussians.count:
         distance, _ = cKDTree(start.gaussians.positions, balanced_tree=False).query(
             positions[added], workers=-1)
@@ -181,32 +163,30 @@ def shown_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floating
     return np.where(shown, 2 * deviation, 0)
 
 
-def trainable(scene: Scene, positions: NDArray[np.floating], log_scales: NDArray[np.floating]
-              ) -> NDArray[np.bool_]:
+def trainable(scene: Scene, region: Region, positions: NDArray[np.floating],
+              log_scales: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Which gaussians a block trains, as bool[N]; the others are frozen.
 
     These are the gaussians that its region reaches with TRAINED_DEVIATIONS standard deviations.
 
     Parameters
     ----------
-    scene : the block's scene.
+    scene, region : of the block.
     positions : [N, 3], in the local frame of the scene.
     log_scales : [N, 3], as in a model.
     """
     deviations = np.exp(np.maximum.reduce(log_scales.T).astype(np.float64))
-    return scene.reached(positions, TRAINED_DEVIATIONS * deviations)
+    return region.reaches(world_of(scene, positions),
+                          scene.unit * TRAINED_DEVIATIONS * deviations)
 
 
-def seen_pixels(scene: Scene, views: Sequence[View]) -> int:
+def seen_pixels(scene: Scene, region: Region, views: Sequence[View]) -> int:
     """Estimate how many pixels of `views` show what a block's region reaches.
 
-    The share of a view's pixels is the share of its sparse points that the region reaches. Where
-    the scene is not a block, all pixels count.
+    The share of a view's pixels is the share of its sparse points that the region reaches.
     """
     pixels = np.array([view.camera.width * view.camera.height for view in views])
-    if scene.region is None:
-        return int(pixels.sum())
-    reached = scene.reached(scene.points)
+    reached = region.reaches(world_of(scene, scene.points))
     if scene.observations is None:
         shown = [view.sees(scene.points) for view in scene.views]
         inside, all_ = np.array([(np.sum(seen & reached), np.sum(seen)) for seen in shown]).T

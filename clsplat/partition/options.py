@@ -69,11 +69,6 @@ class PartitionOptions:
     threshold: float = option(0.003, "Blocks", "citygs assigns a view to a block if the view "
                               "without the block changes by more than this, as 1 - SSIM",
                               minimum=0.0, maximum=2.0, measured=True)
-    surroundings: str = option("auto", "Blocks", "what a block does with the gaussians around "
-                               "it, which it does not train: layers: draw them once for each "
-                               "view; gaussians: hold them all, as it does with --depth or "
-                               "--reproject; auto: whichever takes less memory in this block",
-                               choices=("auto", "layers", "gaussians"))
     exchanges: int = option(AUTO, "Blocks", "how often neighbouring blocks exchange their "
                             "gaussians while they train, so that both sides of a border agree; "
                             "blocks with few steps do it less often, and with --time-budget never; "

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.gaussians import Gaussians
+from clsplat.partition.input import world_of
 
 if TYPE_CHECKING:
     from clsplat.partition.region import Region
@@ -42,7 +42,7 @@ def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequ
     views : of the block, of full size.
     """
     positions = gaussians.positions.astype(np.float64)
-    positions = positions[replace(scene, region=region).reached(positions)]
+    positions = positions[region.reaches(world_of(scene, positions))]
     windows, near = dict[str, Window](), scene.near_plane
     for view in views:
         size = np.array([view.camera.width, view.camera.height])

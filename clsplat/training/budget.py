@@ -340,8 +340,7 @@ def _loss(step: Step, rows: Rows, samples: Sequence[ViewPass]) -> float:
     losses = []
     for sample in samples:
         photo, (_, height, width) = sample.photo, sample.photo.shape
-        frame = step.renderer.render(rows, sample.camera, width, height, step.options.sh_degree,
-                                     backdrop=sample.backdrop)
+        frame = step.renderer.render(rows, sample.camera, width, height, step.options.sh_degree)
         partials, _ = image_loss(step.device, frame.exposed, photo, step.options.ssim_weight)
         losses.append(loss_value(partials, 3 * height * width, step.options.ssim_weight)[0])
     return float(np.mean(losses))

@@ -40,7 +40,7 @@ from clsplat.training.photos import THREADS, epoch_order, size_note
 from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Recorder, broken
 from clsplat.training.session import Session
-from clsplat.training.start.decisions import is_part_of_city
+from clsplat.training.start.decisions import is_stage
 from clsplat.training.start.scene_checks import find_warnings
 from clsplat.training.step import Measured
 
@@ -80,12 +80,13 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         training.run_to_end()
 
 
-def run_record(scene: Scene, options: TrainOptions, device: Device) -> dict[str, Any]:
+def run_record(scene: Scene, options: TrainOptions, device: Device, is_stage: bool = False
+               ) -> dict[str, Any]:
     """The options of a run and what it was trained on, for its options.json."""
     return {"scene": scene.path, **dataclasses.asdict(options), "fingerprint": fingerprint(scene),
             START: digest_of(options.init),
             "opencl_device": device.name, "kernel_form": device.form, "extent": scene.extent,
-            "offset": scene.offset.tolist(), PART_OF_CITY: is_part_of_city(scene, options)}
+            "offset": scene.offset.tolist(), PART_OF_CITY: is_stage}
 
 
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
@@ -150,6 +151,7 @@ class Training:
     clock, recorder, evaluator, checkpoint : measure, report, evaluate and save it.
     deadline : adapts the number of steps to a time budget; None without one.
     recorded : whether the run folder contains this run.
+    is_stage : whether the run is a stage of a larger training, such as a block of a city.
     """
 
     def __init__(self, scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
@@ -159,10 +161,12 @@ class Training:
                  ) -> None:
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.recorded = gaussians is not None
+        parts = tuple(parts)
+        self.is_stage = is_stage(options, parts)
         self.run, self.watcher, self._on_save = run, watcher, on_save
         self.progress = progress = SilentProgress() if progress is None else progress
-        # a city shows it once
-        if (note := size_note(scene.views, options)) and not is_part_of_city(scene, options):
+        # the larger one shows it once
+        if (note := size_note(scene.views, options)) and not self.is_stage:
             progress.message(note)
         if any(view.lens for view in scene.views):
             progress.phase("undistorting photos")
@@ -176,10 +180,7 @@ class Training:
                          if options.time_budget else None)
         self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline,
                                      fingerprint(scene))
-        self._visits = np.ones(len(self.session.train_views))
-        for part in self.session.parts:
-            if (visits := part.visits(self.session.train_views)) is not None:
-                self._visits = self._visits * visits
+        self._visits = self.session.visits()
         self._epoch = -1, np.zeros(0, np.int64)  # the latest one, and the order of its views
         self._measured: list[Measured] = []  # by the latest step
         progress.phase("compiling kernels")  # of the first step
@@ -194,7 +195,7 @@ class Training:
         session = self.session
         warnings = find_warnings(session.scene, session.prepared.thumbnails,
                                  session.model.rows["opacity_logits"].download())
-        self.run.write_options({**run_record(scene, options, session.device),
+        self.run.write_options({**run_record(scene, options, session.device, self.is_stage),
                                 "decisions": session.decisions.values})
         write_placement(self.run.path, scene, first_view=True)
         self.recorded = True
@@ -210,14 +211,13 @@ class Training:
         """Take steps until the end, `stop_at` or Ctrl-C, which waits for its step; then save.
 
         What cannot be made again is written first: the checkpoint, the finished model, the final
-        evaluation, and last the report, whose failure does no harm. Parts of a city have neither,
-        and once they are finished no checkpoint, which is three times as large as the model.
+        evaluation, and last the report, whose failure does no harm. A stage has neither, and once
+        it is finished no checkpoint, which is three times as large as the model.
         """
-        is_part = is_part_of_city(self.session.scene, self.session.options)
         with deferred_interrupt() as interrupted:
             while not (self.finished() or self.stops() or interrupted()):
                 self.take_step()
-            if self.finished() and is_part:
+            if self.finished() and self.is_stage:
                 with self.clock.paused():
                     if self._measured:
                         self.recorder.check(self._measured)
@@ -227,13 +227,13 @@ class Training:
             if self.finished():
                 with self.clock.paused():
                     save_model(self.run, self.session)
-                    if is_part:
+                    if self.is_stage:
                         self.recorder.log("end")  # a block has no evaluation that tells its steps
                         self.checkpoint.remove()
         self.recorder.raise_failure()
-        if not self.finished() or is_part and interrupted():  # else the city would go on
+        if not self.finished() or self.is_stage and interrupted():  # else the larger one goes on
             raise self.stopped()
-        if not is_part:
+        if not self.is_stage:
             if self.evaluator.evaluated_at != self.session.iteration:
                 self.evaluator.evaluate(final=True)
             self.progress.phase("writing the report")

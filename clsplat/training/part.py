@@ -28,10 +28,11 @@ from clsplat.rendering.pipeline import Frame
 from clsplat.rendering.project import Gradients
 
 if TYPE_CHECKING:
+    from clsplat.gaussians import Gaussians
     from clsplat.io.runs.run import RunFolder
     from clsplat.options import TrainOptions
     from clsplat.scene import Scene, View
-    from clsplat.schedule import Plan
+    from clsplat.schedule import Plan, SceneFacts
     from clsplat.schedule.growth import Growth
     from clsplat.training.model import Model
     from clsplat.training.session import Session
@@ -158,7 +159,7 @@ class ViewPass:
     rows : field of the gaussians -> real[N, *row shape].
     counts : uint[FRAME_COUNTS]; no hook may change what outlives a frame that has failed.
     frozen : uint[N], not 0 for gaussians that are not trained; None: all are.
-    exposure, backdrop : what `Renderer.render` makes the compared image with; None: nothing.
+    exposure : what `Renderer.render` makes the compared image with; None: nothing.
     frame : the rendered view, from `add_to` on.
     grad : the gradient of the loss by the frame.
     gradients : the gradients by the gaussians, from `learn` on.
@@ -172,7 +173,6 @@ class ViewPass:
     counts: Array
     frozen: Array | None = None
     exposure: Exposure | None = None
-    backdrop: Array | None = None
     frame: Frame = field(init=False)
     grad: FrameGradient = field(default_factory=FrameGradient)
     gradients: Gradients = field(init=False)
@@ -195,6 +195,9 @@ class Part:
     waits : whether a hook in a step waits for the device, to read an array or to write one from the
         host; steps with such a part are not recorded, and so are slower.
     resident : whether the arrays among its inputs stay on the device.
+    is_stage : whether it makes the training a stage of a larger one, which decides the number of
+        steps and shows the result: then there is no evaluation, no report, and in the end no
+        checkpoint.
     skipped : uint[1] on the device, how many of its gradients, one a view, were not finite; None:
         it learns nothing.
     """
@@ -204,6 +207,7 @@ class Part:
     needs_depth: ClassVar[bool] = False
     needs_pose: ClassVar[bool] = False
     waits: ClassVar[bool] = False
+    is_stage: ClassVar[bool] = False
     resident: bool = True
     skipped: Array | None = None
 
@@ -218,6 +222,19 @@ class Part:
     def is_used(cls, prepared: PreparedScene) -> bool:
         """Whether a training has this part; its options are decided."""
         return True
+
+    def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View],
+              gaussians: Gaussians | None) -> SceneFacts:
+        """Restrict what the schedule is given of the scene to what is trained.
+
+        Parameters
+        ----------
+        facts : of the whole scene.
+        scene : at the size of training.
+        views : its training views.
+        gaussians : the initial ones; None: they are not known yet.
+        """
+        return facts
 
     def begin(self, session: Session) -> None:
         """Allocate what it needs; `session` has photos, and no gaussians yet."""
@@ -270,7 +287,7 @@ class Part:
         """Correct `work.camera`."""
 
     def respond(self, work: ViewPass, inputs: Inputs) -> None:
-        """Set `work.exposure` or `work.backdrop`."""
+        """Set `work.exposure`."""
 
     def add_to(self, work: ViewPass, inputs: Inputs) -> Any:
         """Add the gradient of a term of the loss to `work.grad`.

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.device import Device
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
@@ -49,7 +50,6 @@ class Session:
     progress : receives what is being done.
     folder : where photos wait for their use (`Photos`).
     level : the level at which training begins; 0: the first one of the schedule.
-    parts : parts besides those that the options ask for (`parts_of`).
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Session:
     def __init__(self, prepared: PreparedScene, device: Device, gaussians: Gaussians,
                  schedule: Schedule | None = None, photos: Photos | None = None,
                  progress: SilentProgress | None = None, folder: Path | None = None,
-                 level: float = 0.0, parts: Iterable[Part] = ()) -> None:
+                 level: float = 0.0) -> None:
         self.device, self.progress = device, progress or SilentProgress()
         if schedule is not None:
             self.schedule = schedule
@@ -77,7 +77,7 @@ class Session:
         self.photos = photos or Photos(device, self.train_views, self.schedule.levels,
                                        folder=folder, level=level)
         self.iteration, self.level, self.start_seconds = 0, 0.0, 0.0
-        self.parts = parts_of(prepared, parts)
+        self.parts = parts_of(prepared)
         for part in self.parts:
             part.begin(self)
         model = Model(device, gaussians, options.engine, options.optimizer == "dense")
@@ -100,7 +100,7 @@ class Session:
         gaussians : the gaussians of a resumed run; None: the initial ones.
         folder : where photos wait for their use (`Photos`).
         level : the level of a resumed run; 0: the first one.
-        parts : as for the class.
+        parts : parts besides those that the options ask for (`parts_of`).
 
         Raises
         ------
@@ -108,7 +108,7 @@ class Session:
         """
         progress = progress or SilentProgress()
         progress.phase("planning")
-        prepared = prepare(scene, options, device)
+        prepared = prepare(scene, options, device, parts)
         gaussians, seconds = ((gaussians, 0.0) if gaussians else
                               first_gaussians(device, prepared, progress))
         schedule = prepared.schedule(gaussians)
@@ -116,7 +116,7 @@ class Session:
         for _ in decoded(prepared.test_views):
             pass  # a damaged photo would stop the run at its evaluation
         session = cls(prepared, device, gaussians, schedule, progress=progress, folder=folder,
-                      level=level, parts=parts)
+                      level=level)
         session.start_seconds = seconds
         return session
 
@@ -128,6 +128,14 @@ class Session:
     def part(self, kind: type[AnyPart]) -> AnyPart | None:
         """The part of a kind; None: there is none."""
         return next((part for part in self.parts if isinstance(part, kind)), None)
+
+    def visits(self) -> NDArray[np.float64]:
+        """How often each training view is trained on, in some unit."""
+        visits = np.ones(len(self.train_views))
+        for part in self.parts:
+            if (more := part.visits(self.train_views)) is not None:
+                visits = visits * more
+        return visits
 
     def use_level(self, level: float) -> bool:
         """Train on images `level` times smaller from now on; returns whether that is a change."""

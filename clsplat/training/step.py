@@ -279,8 +279,7 @@ class Step:
             part.respond(work, own)
         work.frame = self.renderer.render(
             work.rows, work.camera, photo.shape[2], photo.shape[1], plan.degree,
-            any(part.needs_depth for part in parts), room, work.counts, work.exposure,
-            work.backdrop)
+            any(part.needs_depth for part in parts), room, work.counts, work.exposure)
         for part, own in parts.items():
             if (result := part.add_to(work, own)) is not None:
                 measured[part.name] = result

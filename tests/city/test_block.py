@@ -9,6 +9,8 @@ from click.testing import CliRunner
 from scipy.spatial import cKDTree
 
 from clsplat.city.block import decided_by, options_of_blocks
+from clsplat.city.parts import FrozenRows
+from clsplat.city.scene import BlockScene
 from clsplat.cli.main import main
 from clsplat.densify import round as growth
 from clsplat.gaussians import Gaussians
@@ -25,8 +27,8 @@ from clsplat.partition.region import Region, Space
 from clsplat.response import Response
 from clsplat.schedule import OURS
 from clsplat.schedule.constant import Constant
-from clsplat.training.parts.frozen_rows import FrozenRows
-from tests.data.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, trained
+from clsplat.training.parts.exposures import PhotoResponses
+from tests.data.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, options_of, trained
 
 SHORT = {"iterations": 61, "densify_until": 61, "test_every": 0}
 KEEPS = {"checkpoint_every": 0, "reset_every": 0, "eval_every": 0}
@@ -45,8 +47,14 @@ def region_of(scene, share, margin=0.0):
                   margin=margin)
 
 
-def block_of(scene, share=0.3, **fields):
-    return replace(scene, region=region_of(scene, share, margin=0.02), **fields)
+def block_of(scene, share=0.3, responses=None):
+    """A BlockScene that trains about the first `share` of a scene."""
+    return BlockScene(scene, region_of(scene, share, margin=0.02), {}, responses)
+
+
+def trained_block(folder, block, device, **changes):
+    """The RunFolder of a block's training, as `tiny_training.trained`."""
+    return trained(folder, block.scene, device, parts=block.parts(options_of(**changes)), **changes)
 
 
 # --- growth
@@ -63,13 +71,14 @@ def rounds(monkeypatch):
     return seen
 
 
-def reached_with_bodies(scene, rows):
-    """bool[N]: which gaussians of a training a block of `scene` may change."""
+def reached_with_bodies(block, rows):
+    """bool[N]: which gaussians of a training a block may change."""
+    scene, region = block.scene, block.region
     centres, sizes = (rows["positions"] * scene.extent + scene.offset,
                       2 * scene.extent * np.exp(rows["log_scales"].max(axis=1)))
-    reached = scene.region.reaches(centres)
+    reached = region.reaches(centres)
     for step_aside in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
-        reached &= scene.region.reaches(centres + sizes[:, None] * step_aside)
+        reached &= region.reaches(centres + sizes[:, None] * step_aside)
     return reached
 
 
@@ -80,9 +89,9 @@ def test_only_what_the_region_reaches_grows(item_device, city, tmp_path, rounds,
     options = {"schedule": schedule, "densify_every": 20, **SHORT}
     if schedule == "sig":
         options = {**LEVELLED, "exposure": "off", "reproject": "off", "iterations": 60}
-    scene = block_of(city)
-    trained(tmp_path / "run", scene, item_device, **options)
-    inside = [reached_with_bodies(scene, rows) for rows, *_ in rounds]
+    block = block_of(city)
+    trained_block(tmp_path / "run", block, item_device, **options)
+    inside = [reached_with_bodies(block, rows) for rows, *_ in rounds]
     assert sum(grows.sum() for _, grows, _ in rounds) > 100
     for reached, (_, grows, prunes) in zip(inside, rounds):
         assert not ((grows | prunes) & ~reached).any() and (~reached).sum() > 1000
@@ -94,12 +103,12 @@ def test_only_what_the_region_reaches_grows(item_device, city, tmp_path, rounds,
     "position_noise": 1e9}], ids=lambda options: options.get("schedule", "constant"))
 def test_surroundings_stay_as_they_are(item_device, city, tmp_path, options):
     """While others grow and opacities are reset, or are relocated and take random steps."""
-    scene, before = block_of(city), Gaussians.from_points(city.points, city.colours, 1)
-    run = trained(tmp_path / "run", scene, item_device, sh_degree=1, **{**SHORT, **options})
+    block, before = block_of(city), Gaussians.from_points(city.points, city.colours, 1)
+    run = trained_block(tmp_path / "run", block, item_device, sh_degree=1, **{**SHORT, **options})
     after = run.load_model()
-    outside = ~scene.region.reaches(city.points + city.offset)
+    outside = ~block.region.reaches(city.points + city.offset)
     distance, place = cKDTree(after.positions).query(before.positions)
-    same = distance < 1e-5 * scene.extent
+    same = distance < 1e-5 * city.extent
     assert same[outside].all() and same[~outside].mean() < 0.2
     stays = outside & same
     for name in ("sh_constant", "opacity_logits", "quaternions"):
@@ -117,12 +126,13 @@ def test_after_growth_all_that_the_region_does_not_reach_is_frozen(
     def checked(part, model, growth):
         changed(part, model, growth)
         rows = [model.rows[name].download() for name in ("positions", "log_scales")]
-        assert np.array_equal(model.frozen.download() > 0, ~part.trains(*rows))
+        assert np.array_equal(model.frozen.download() > 0, ~trainable(
+            part._scene, part.region, *rows))
         if growth:
             shares.append(growth.unchanged / model.count)
 
     monkeypatch.setattr(FrozenRows, "rows_changed", checked)
-    trained(tmp_path / "run", block_of(city), item_device, **{
+    trained_block(tmp_path / "run", block_of(city), item_device, **{
         "densify_every": 20, **SHORT, **options})
     assert shares and all(0.5 < share < 1 for share in shares)
 
@@ -130,14 +140,14 @@ def test_after_growth_all_that_the_region_does_not_reach_is_frozen(
 def test_what_covers_more_than_a_block_stays(item_device, city, tmp_path, rounds):
     """Every block sees a haze that one of them owns: changed there alone, as once on caliterra, it
     changes the tones of all others when they are merged. Nor is it pruned for its size."""
-    scene = block_of(city)
+    scene, block = city, block_of(city)
     haze = int(np.argmin(scene.points[:, 0]))  # deep in the block
     first = Gaussians.from_points(city.points, city.colours, 1)
     first.rows["log_scales"][haze] = np.log(3 * scene.extent)
     first.rows["opacity_logits"][haze] = -3
-    assert scene.region.owns(scene.points[haze:haze + 1] + scene.offset).all()
+    assert block.region.owns(scene.points[haze:haze + 1] + scene.offset).all()
     write_ply(tmp_path / "first.ply", first, scene.offset)
-    run = trained(tmp_path / "run", scene, item_device, sh_degree=1, init=str(
+    run = trained_block(tmp_path / "run", block, item_device, sh_degree=1, init=str(
         tmp_path / "first.ply"), **{**SHORT, "reset_every": 20})
     after = run.load_model()
     place = int(np.argmax(after.log_scales.max(axis=1)))
@@ -153,14 +163,14 @@ def test_the_schedule_is_asked_about_the_block_only(item_device, city, tmp_path,
     asked = []
     monkeypatch.setattr(Constant, "target", lambda self, iteration, count, above: asked.append(
         (self.facts.count, self.facts.pixels, count, above)))
-    scene = block_of(city)
-    trained(tmp_path / "run", scene, item_device, engine="device", **SHORT)
+    block = block_of(city)
+    trained_block(tmp_path / "run", block, item_device, engine="device", **SHORT)
     first, pixels = asked[0][:2]
     begun = Gaussians.from_points(city.points, city.colours, 0)
-    assert first == trainable(scene, begun.positions, begun.log_scales).sum()
-    assert pixels == seen_pixels(scene.reduced(8), scene.reduced(8).views)
+    assert first == trainable(city, block.region, begun.positions, begun.log_scales).sum()
+    assert pixels == seen_pixels(city.reduced(8), block.region, city.reduced(8).views)
     for (rows, _, prunes), (_, _, count, above) in zip(rounds, asked, strict=True):
-        inside = reached_with_bodies(scene, rows)
+        inside = reached_with_bodies(block, rows)
         assert count == (inside & ~prunes).sum() < (~prunes).sum() / 2
         assert 0 < above <= count
 
@@ -168,7 +178,8 @@ def test_the_schedule_is_asked_about_the_block_only(item_device, city, tmp_path,
 @pytest.mark.slow
 def test_the_limit_is_of_all_gaussians(item_device, city, tmp_path):
     limit = len(city.points) + 50
-    run = trained(tmp_path / "run", block_of(city), item_device, max_gaussians=limit, **SHORT)
+    run = trained_block(tmp_path / "run", block_of(city), item_device, max_gaussians=limit,
+                        **SHORT)
     assert limit - 20 <= len(run.load_model().positions) <= limit
 
 
@@ -189,10 +200,10 @@ def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, ci
     assert lens[:3].all() and all(np.array_equal(learned[name].vignetting, lens) for name in names)
     assert np.array_equal(np.float32(lens), run.load_checkpoint()[0]["exposure.lenses"][0])
     some = {name: Response(learned[name].transform + 0.2, lens) for name in names[:5]}
-    block = trained(tmp_path / "block", replace(block_of(city), exposures=some), item_device,
-                    **{**options, "iterations": 1})
+    block = trained_block(tmp_path / "block", block_of(city, responses=some), item_device,
+                          **{**options, "iterations": 1})
     after = block.load_exposures()
-    whole = trained(tmp_path / "joint", replace(city, exposures=some), item_device, **options)
+    whole = trained(tmp_path / "joint", city, item_device, parts=[PhotoResponses(some)], **options)
     moved = whole.load_exposures()[names[0]].transform - some[names[0]].transform
     assert 1e-4 < np.abs(moved).max() < 0.1, "a joint training learns on"
     for name in names:  # blocks do not learn

@@ -11,6 +11,7 @@ import pytest
 from clsplat.city import block as block_module
 from clsplat.city import cut, forecast, run, scoring, stages
 from clsplat.city.run import chosen_partition
+from clsplat.city.scene import BlockScene
 from clsplat.cli.main import main
 from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.io.models.ply import read_ply
@@ -155,7 +156,7 @@ def test_a_block_takes_as_many_steps_as_its_visits_say(made):
     training = 28  # of 32 views, which one run visits 60 times in all
     for block in made.blocks():
         record, views = block.read(), read_scene(block.path).views
-        visits = np.array([view.visits for view in views])
+        visits = np.array([block.region()[1][view.name] for view in views])
         assert 0 < visits.min() < visits.max() < 2 and len(views) == record["views"]
         assert record["options"]["iterations"] == round(60 * visits.sum() / training)
         assert record["options"]["test_every"] == 0 and record["options"]["levels"] == [1.0]
@@ -376,9 +377,9 @@ def test_responses_of_the_coarse_run_reach_the_blocks(tmp_path, monkeypatch):
             "on", "--device", DEVICE, "-q", "-o", folder.coarse)
     command("partition", folder.path, "--grid", "2x1", "--least-views", "3", "--method", "blockgs")
     learned = RunFolder(folder.coarse).load_exposures()
-    blocks = [read_scene(block.path) for block in folder.blocks()]
+    blocks = [BlockScene.read(block) for block in folder.blocks()]
     assert len(blocks) == 2
     for scene in blocks:
-        assert scene.exposures.keys() == {view.name for view in scene.views}
-        for name, response in scene.exposures.items():
+        assert scene.responses.keys() == {view.name for view in scene.scene.views}
+        for name, response in scene.responses.items():
             assert np.allclose(response.transform, learned[name].transform)

@@ -11,7 +11,8 @@ import pycolmap
 import pytest
 
 from clsplat.city.block import options_of_blocks
-from clsplat.city.cut import surroundings_of
+from clsplat.city.parts import SampleWeights
+from clsplat.city.scene import BlockScene
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
@@ -20,13 +21,12 @@ from clsplat.io.photos.depth import read_depth, with_depths
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.views import read_valid
 from clsplat.io.runs import city as module
-from clsplat.io.runs.city import BlockFolder, CityFolder, attached
+from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.scenes import write
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.region import Region, Space
 from clsplat.response import Response
-from clsplat.training.start.initialise import surrounding_gaussians
 from tests.data.tiny_training import CITY
 
 VIEWS = [3, 9, 8, 11]  # in no order
@@ -87,7 +87,7 @@ def check_part(block, scene, views=VIEWS):
         assert bytes_of(view) == bytes_of(other)
     assert sightings(read) == {row for row in sightings(scene)
                                if row[3] in {view.name for view in chosen}}
-    assert read.region.record() == WEST.record()
+    assert block.region()[0].record() == WEST.record()
     return read
 
 
@@ -103,8 +103,8 @@ def test_a_block_is_a_scene(city, scene, gaussians, away):
     assert 0 < len(read.points) < len(scene.points)
     assert all(view.source.is_symlink() for view in read.views)
     expected = exposures_of(scene)
-    assert set(read.exposures) == {scene.views[i].name for i in (3, 8, 9)}
-    for name, response in read.exposures.items():
+    assert set(block.responses()) == {scene.views[i].name for i in (3, 8, 9)}
+    for name, response in block.responses().items():
         assert np.array_equal(response.transform, expected[name].transform)
         assert np.array_equal(response.vignetting, expected[name].vignetting)
     there = read_ply(block.initial, far.offset)
@@ -239,7 +239,7 @@ def test_damaged_files(city, scene, gaussians, name, text):
     (city.path / name).write_text(text, encoding="latin-1")
     readers = {"city.json": city.identity, "block.json": block.read}
     with pytest.raises(InputError, match=f"{Path(name).name}: .*damaged") as caught:
-        readers.get(Path(name).name, lambda: attached(scene, block.path))()
+        readers.get(Path(name).name, lambda: BlockScene.read(block))()
     assert "\n" not in str(caught.value)
 
 
@@ -275,43 +275,13 @@ def test_visits_travel_with_the_block(city, scene, gaussians):
     names = [scene.views[index].name for index in VIEWS]
     block = city.write_block(0, scene, VIEWS, WEST, {}, gaussians, None, OPTIONS, city.identity(),
                              visits={names[0]: 0.25})
-    assert {view.name: view.visits for view in read_scene(block.path).views} == {
-        name: 0.25 if name == names[0] else 1.0 for name in names}
+    parts = BlockScene.read(block).parts(resolve({}, {}))
+    weights = next(part for part in parts if isinstance(part, SampleWeights))
+    assert weights.visits(read_scene(block.path).views).tolist() == [
+        0.25 if view.name == names[0] else 1.0 for view in read_scene(block.path).views]
     path = block.path / "region.json"
     record = json.loads(path.read_text())
     for bad in (0.0, -1.0, "often", None, True):
         path.write_text(json.dumps({**record, "visits": {names[0]: bad}}))
         with pytest.raises(InputError, match=r"region\.json: damaged \(the visits"):
-            read_scene(block.path)
-
-
-def test_surroundings_travel_with_the_block_and_are_missed(city, scene, gaussians):
-    around = Gaussians.from_points(scene.points[50:90], scene.colours[50:90], 1)
-    block = city.write_block(0, scene, VIEWS, WEST, {}, gaussians, None, OPTIONS,
-                             {**city.identity(), "layers": around.count}, around)
-    block.check()
-    whole = read_scene(block.path)
-    read = surrounding_gaussians(whole, resolve({}, {"sh_degree": 0}))
-    away = scene.offset - whole.offset
-    assert read.sh_degree == 0
-    assert np.allclose(read.positions, around.positions + away, atol=1e-4)
-    (block.path / "surroundings.ply").unlink()
-    with pytest.raises(InputError, match=r"surroundings\.ply: missing from the block; remove"):
-        block.check()
-
-
-def test_a_block_of_before_there_were_layers(city, scene, gaussians):
-    block = written(city, scene, gaussians)
-    block.check()
-    assert surrounding_gaussians(read_scene(block.path), resolve({}, {})) is None
-
-
-@pytest.mark.parametrize("requested, options, layers", [
-    ({}, {}, "gaussians"), ({"surroundings": "gaussians"}, {}, "gaussians"),
-    ({"surroundings": "layers"}, {}, "layers"), ({"surroundings": "auto"}, {}, "auto"),
-    ({"surroundings": "layers"}, {"depth": "d"}, "gaussians"),
-    ({"surroundings": "auto"}, {"reproject": "auto"}, "gaussians")])
-def test_layers_are_drawn_where_the_partition_says_so_and_no_depth_is_needed(
-        city, requested, options, layers):
-    city.write_partition({"method": "by hand", "asked": requested})
-    assert surroundings_of(city, resolve({}, options)) == layers
+            block.region()

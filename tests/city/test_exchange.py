@@ -20,13 +20,13 @@ from clsplat.city.exchange import (
     most_exchanges,
     other_blocks,
 )
+from clsplat.city.scene import BlockScene
 from clsplat.city.workers import Workers
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.models.ply import read_ply
 from clsplat.io.npz import read_npz, write_npz
 from clsplat.io.records import write_object
-from clsplat.io.runs.city import BLOCK, EXCHANGES, LAYERS, OTHERS, BlockFolder, CityFolder
+from clsplat.io.runs.city import BLOCK, EXCHANGES, OTHERS, BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
@@ -59,10 +59,9 @@ def stopped(tmp_path_factory, item_device):
     for number, region in enumerate((west, east)):
         part = replace(scene, views=tuple(scene.views[i] for i in views[number]),
                        observations=None).reduced(8.0, 10_000)
-        start = block_start(first, scene, region, part.views, lambda _: True)
+        start = block_start(first, scene, region, part.views)
         city.write_block(number, scene, views[number], region, {}, start.gaussians, None, OPTIONS, {
-            **city.identity(), LAYERS: start.around.count, OTHERS: [1 - number], EXCHANGES: [AT]},
-            start.around)
+            **city.identity(), OTHERS: [1 - number], EXCHANGES: [AT]})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_block, "choose_device", lambda *_, **__: item_device)
         patch.setattr(exchange_module, "RunFolder", None)  # parts are written without reading it
@@ -90,13 +89,14 @@ def in_world(scene, positions):
 def test_a_block_goes_on_from_what_others_own(city):
     block, run = city.block(0), RunFolder(city.block(0).run)
     before, _ = run.load_checkpoint()
-    after, state = exchange(block, read_scene(block.path), other_blocks(block),
+    after, state = exchange(block, BlockScene.read(block), other_blocks(block),
                             block_options(block), 1, run)
     assert set(after) == set(before)
     scene = read_scene(block.path).reduced(8.0, 10_000).normalised()
     other = read_scene(city.block(1).path).normalised()
-    part = read_npz(city.block(1).part(1), "", "")
-    own = scene.region.owns(in_world(scene, before["row.positions"]))
+    part = read_npz(city.block(1).exchanged(1), "", "")
+    region = BlockScene.read(block).region
+    own = region.owns(in_world(scene, before["row.positions"]))
     count = int(own.sum())
     assert 0 < count < len(own) and state["iteration"] == AT
     for name in ("row.positions", "row.sh_rest", "m.positions", "v.log_scales"):
@@ -105,28 +105,21 @@ def test_a_block_goes_on_from_what_others_own(city):
     taken = in_world(scene, after["row.positions"][count:])
     distance, row = cKDTree(owned).query(taken)
     assert distance.max() < 1e-5 * scene.unit and len(set(row)) == len(row)
-    reached = scene.region.reaches(owned)
+    reached = region.reaches(owned)
     assert 50 < reached.sum() < len(owned) and np.isin(np.flatnonzero(reached), row).all()
     for name, power in (("m.positions", 1), ("v.positions", 2)):  # gradients by the same lengths
         assert np.allclose(after[name][count:] * (other.unit / scene.unit) ** power,
                            part[name][row], rtol=1e-4), name
     frozen = after["frozen.rows"] > 0
-    trains = trainable(scene, after["row.positions"], after["row.log_scales"])
+    trains = trainable(scene, region, after["row.positions"], after["row.log_scales"])
     assert np.array_equal(frozen, ~trains) and 0 < frozen[count:].sum() < len(row)
-    around = read_ply(block.around, scene.offset)
-    distance, _ = cKDTree(owned).query(around.positions + scene.offset)
-    assert around.count > 50 and distance.max() < 1e-5 * scene.unit
 
 
 @pytest.mark.slow
 def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
     block, copy = city.block(0), CityFolder(city.path.with_name("copy"))
     shutil.copytree(city.path, copy.path, symlinks=True)
-    around, resume = [], training_block.resume
-    monkeypatch.setattr(training_block, "resume", lambda scene, *rest, **more: (
-        around.append(scene.surroundings), resume(scene, *rest, **more)))
     assert train_block(block, block_options(block)) == "finished"
-    assert around == [block.around]
     killed = copy.block(0)
 
     def dies(*_, **__):
@@ -139,7 +132,6 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
             patch.setattr(owner, name, dies)
             with pytest.raises(SystemExit):
                 train_block(killed, block_options(killed))
-        assert killed.around.is_file()
     assert train_block(killed, block_options(killed)) == "finished"
     assert model_digest(RunFolder(killed.run)) == model_digest(RunFolder(block.run))
     assert train_block(killed, block_options(killed)) == "was finished before"
@@ -148,7 +140,7 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
 @pytest.mark.slow
 def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
     block = city.block(0)
-    run, part = RunFolder(block.run), block.part(1)
+    run, part = RunFolder(block.run), block.exchanged(1)
     content = part.read_bytes()
     part.unlink()
     said = train_block(block, block_options(block), until=1)
@@ -165,17 +157,17 @@ def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
 @pytest.mark.slow
 def test_parts_that_cannot_be_used_are_named(city):
     block, other = city.block(0), city.block(1)
-    content = other.part(1).read_bytes()
-    arrays = read_npz(other.part(1), "", "")
+    content = other.exchanged(1).read_bytes()
+    arrays = read_npz(other.exchanged(1), "", "")
     moment = content.index(arrays["v.sh_rest"].tobytes())
     arrays["m.positions"][:] = np.nan
-    with open(other.part(1).with_suffix(".nan"), "wb") as file:
+    with open(other.exchanged(1).with_suffix(".nan"), "wb") as file:
         write_npz(file, arrays)
-    for damaged in (content[:-300], other.part(1).with_suffix(".nan").read_bytes(),
+    for damaged in (content[:-300], other.exchanged(1).with_suffix(".nan").read_bytes(),
                     content[:moment] + b"?" + content[moment + 1:]):
-        other.part(1).write_bytes(damaged)
+        other.exchanged(1).write_bytes(damaged)
         with pytest.raises(InputError, match=r"exchange_1.npz: damaged .* train that block again"):
-            exchange(block, read_scene(block.path), other_blocks(block), block_options(block), 1,
+            exchange(block, BlockScene.read(block), other_blocks(block), block_options(block), 1,
                      RunFolder(block.run))
     record = json.loads((other.path / BLOCK).read_text())
     (other.path / BLOCK).write_text(json.dumps({**record, "partition": "another"}))
@@ -227,10 +219,10 @@ def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
 
     def train(job):
         ran.append(job.name)
-        if job.name == "001, part 2 of 3":
+        if job.name == "001, stage 2 of 3":
             raise InputError("no such photo")
         assert job.alone == (len(ran) > 9) and job.device == "gpu"
-        assert f"part {job.until or 3} of 3" in job.name or job.alone
+        assert f"stage {job.until or 3} of 3" in job.name or job.alone
         job.done.touch()
 
     engine = Workers.run
@@ -238,9 +230,9 @@ def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
         workers, jobs, train, *rest))
     outcomes = {outcome.job.block.path.name: outcome
                 for outcome in blocks.train_blocks(city, Workers(), None, fill=fill)}
-    firsts = [f"00{n}, part 1 of 3" for n in range(4)]
-    seconds = [f"00{n}, part 2 of 3" for n in range(4)]
-    last = "003, part 3 of 3"  # needs the second parts of 2 and 3 only
+    firsts = [f"00{n}, stage 1 of 3" for n in range(4)]
+    seconds = [f"00{n}, stage 2 of 3" for n in range(4)]
+    last = "003, stage 3 of 3"  # needs the second parts of 2 and 3 only
     assert ran[:9] == [*firsts, *seconds, last]
     assert ran[9:] == (["000", "002"] if fill else [])
     assert {name: outcome.ok for name, outcome in outcomes.items()} == {

@@ -92,7 +92,7 @@ def test_the_end_of_the_blocks_on_several_devices_follows_from_their_steps():
 
     city = SimpleNamespace(blocks=lambda: [block(n, 100 * n) for n in (1, 2, 3, 4)])
     table = block_table(city, None, [10] * 4)
-    assert table.rows[3] == ("004", "10", "4", "0", "0", "0", "8", "400") and len(table.rows) == 4
+    assert table.rows[3] == ("004", "10", "4", "0", "0", "8", "400") and len(table.rows) == 4
     assert "50% on 2, 40% on 3, 40% on 8 (--workers)" in table.notes[0]
 
 
@@ -134,8 +134,10 @@ def test_short_trainings_are_foretold_without_trial_steps(monkeypatch, seconds, 
         return SimpleNamespace(seconds=1000 * seconds, steps=1000, gaussians=28,
                                memory=SimpleNamespace(total=2**20))
 
-    for name, value in (("Planned", lambda *_: SimpleNamespace(forecast=planned)),
-                        ("read_scene", lambda _: None), ("block_options", lambda _: None),
+    block = SimpleNamespace(scene=None, parts=lambda _: ())
+    for name, value in (("Planned", lambda *_, parts: SimpleNamespace(forecast=planned)),
+                        ("BlockScene", SimpleNamespace(read=lambda _: block)),
+                        ("block_options", lambda _: None),
                         ("coarse_steps", lambda *_: [(1.0, 1.0, seconds)])):
         monkeypatch.setattr(forecast_module, name, value)
     (note, *_) = block_table(city, a_card(2**33), [10, 10]).notes

@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from clsplat.city.exchange import Part
+from clsplat.city.exchange import Owned
 from clsplat.city.joint import begin_with, train_jointly
 from clsplat.city.merge import merge
 from clsplat.cli.main import main
@@ -127,16 +127,6 @@ def test_a_model_is_taken_without_the_points_at_which_it_began(city, scene):
     merge(city, scene).check()
 
 
-def test_surroundings_of_another_block_are_refused(city, scene):
-    first, second = city.blocks()
-    write_ply(second.around, Gaussians.from_points(scene.points, scene.colours, 0), scene.offset,
-              start_comment(first.start()))
-    with pytest.raises(InputError, match="is of another block"):
-        second.check_own(second.around)
-    write_ply(second.around, Gaussians.from_points(scene.points, scene.colours, 0), scene.offset)
-    second.check_own(second.around)  # of an earlier version
-
-
 def test_a_joint_training_of_another_city_is_refused(city, scene):
     merged = merge(city, scene)
     city.write_partition({**city.read_partition(), "joint": {"iterations": 9}})
@@ -174,7 +164,7 @@ def test_a_trained_city_refuses_exchanged_parts_and_keeps_its_model(tmp_path, ca
     assert (folder.path / "point_cloud.ply").read_bytes() == model
     exchanged(first.run, second.run)
     record = first.read()
-    Part(second, 1, record)
-    exchanged(first.part(1), second.part(1))
+    Owned(second, 1, record)
+    exchanged(first.exchanged(1), second.exchanged(1))
     with pytest.raises(InputError, match="of another block or partition"):
-        Part(second, 1, record)
+        Owned(second, 1, record)

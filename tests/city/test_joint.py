@@ -29,7 +29,6 @@ from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
 from clsplat.training.interrupt import handled_interrupts
 from clsplat.training.loop import train
-from clsplat.training.start.decisions import is_part_of_city
 from tests.city.test_city import DEVICE, city, command, model
 from tests.city.test_merge import strewn
 from tests.data.tiny_training import CITY
@@ -272,12 +271,6 @@ def test_a_stopped_joint_training_goes_on(trained, tmp_path, monkeypatch):
     with merged_city(copy, scene, options, device):
         pass
     assert model(copy) == before
-
-
-def test_it_is_a_part_of_a_city():
-    scene, options = read_scene(CITY), resolve({}, {})
-    assert not is_part_of_city(scene, options)
-    assert is_part_of_city(replace(scene, exposures={}), options)
 
 
 def test_a_coarse_run_goes_on_with_the_steps_with_which_it_began(tmp_path, item_device):

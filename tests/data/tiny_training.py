@@ -45,11 +45,12 @@ def resumed(run, scene, device, **changes):
 
 
 def _taken(start, run, scene, device, changes):
+    parts = changes.pop("parts", ())
     options = options_of(**changes)
     # the curves of a report take half a second: tests/report draws them
     try:
         with patch("clsplat.report.run.drawn", return_value=""):
-            start(scene, options, device, run)
+            start(scene, options, device, run, parts=parts)
         assert not 0 < options.stop_at < options.iterations
     except Interrupted:
         if not options.stop_at:

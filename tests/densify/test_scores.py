@@ -26,7 +26,7 @@ def scored(device, name, gradient, photos, rows=None):
     """Scores over one camera's view with each photo, and the downloaded (visible, image)."""
     case = cases.gaussians(name)
     renderer, rows, frame = render(device, case, rows)
-    views = [SimpleNamespace(camera=frame.camera, photo=device.upload(photo), backdrop=None)
+    views = [SimpleNamespace(camera=frame.camera, photo=device.upload(photo))
              for photo in photos]
     scores = taming_scores(renderer, rows, views, case["degree"], SSIM_WEIGHT, gradient)
     return scores, frame.visible.download(), frame.image.download()

@@ -161,13 +161,13 @@ def test_trial_steps_foretell_what_a_training_allocates(own_device, options):
 
 
 def test_photos_that_do_not_fit_are_counted_one_at_a_time(item_device, city, monkeypatch):
-    prepared = SimpleNamespace(train_views=city.views, surroundings=None)
+    prepared = SimpleNamespace(train_views=city.views)
     each = 3 * 80 * 60
     kept = ViewMemory(item_device, prepared, 1.0)
-    assert (kept.photos, kept.nbytes, kept.resident) == (each * len(city.views),) * 2 + (True,)
+    assert (kept.nbytes, kept.resident) == (each * len(city.views), True)
     monkeypatch.setattr(cost, "DEVICE_SHARE", 0.0)
     read = ViewMemory(item_device, prepared, 1.0)
-    assert (read.photos, read.nbytes, read.resident) == (each, each, False)
+    assert (read.nbytes, read.resident) == (each, False)
 
 
 def measured_peak(device, monkeypatch):

@@ -15,7 +15,6 @@ from clsplat.training.model import Model, model_bytes
 from clsplat.training.part import TrainingSample
 from clsplat.training.parts import image_term
 from clsplat.training.parts.exposures import PhotoResponses
-from clsplat.training.parts.frozen_rows import FrozenRows
 from clsplat.training.parts.image_term import ImageTerm
 from clsplat.training.step import Step
 from tests import cases
@@ -233,7 +232,8 @@ def test_what_is_held_stays_though_it_has_moments(float_device, engine):
     model.adam.upload(moments, {name: values**2 for name, values in moments.items()})
     frozen = np.arange(count) % 2 == 0
     step = Step(renderer, model, 1.0, TrainOptions(iterations=100), [
-        ImageTerm(), FrozenRows(lambda positions, log_scales: ~frozen)])
+        ImageTerm()])
+    step.model.frozen = float_device.upload(frozen.astype(np.uint32))
     plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
                 decay=0.5)
     before = model.download().rows

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clsplat.city.parts import FrozenRows, SampleWeights
 from clsplat.errors import InputError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.io.runs.run import RunFolder
@@ -186,7 +187,7 @@ def test_parts_have_names_of_their_own_and_use_every_hook():
     names, hooks = [part.name for part in PARTS], [
         name for name, value in vars(Part).items() if callable(value) and name != "decide"]
     assert len(set(names)) == len(names) and not any("." in name for name in names)
-    parts = [part() for part in PARTS]
+    parts = [*(part() for part in PARTS), FrozenRows(None), SampleWeights({})]
     assert [hook for hook in hooks if not overriding(parts, hook)] == []
 
 

@@ -1,6 +1,5 @@
 """Trainings that correct the poses of their views: what they recover, record and refuse."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,14 +12,12 @@ from clsplat.io.runs.learned import read_poses
 from clsplat.io.scenes.read import read_scene
 from clsplat.optimise.pose import WARM_UP
 from clsplat.options import resolve
-from clsplat.partition.region import Region, Space
 from clsplat.placement.corrections import (
     Correction,
     correction_between,
     typical_depth,
     without_common_motion,
 )
-from clsplat.training.start.prepare import prepare
 from tests.data.tiny_training import CITY, STILL, options_of, trained
 
 FOCAL = 69.3  # pixels, of the city at a quarter of its size
@@ -79,11 +76,8 @@ def test_without_the_option_there_are_none(item_device, city, tmp_path):
     assert not any(name.startswith("pose.") for name in run.load_checkpoint()[0])
 
 
-def test_cities_blocks_and_the_reprojection_loss_refuse_it(city, tmp_path):
+def test_cities_and_the_reprojection_loss_refuse_it(city, tmp_path):
     with pytest.raises(InputError, match="^--poses on: is for single runs; the blocks of a city"):
         begin(CityFolder(tmp_path), city, options_of(poses="on"))
-    block = replace(city, region=Region(Space(np.eye(3), np.zeros(3), np.ones(3))))
-    with pytest.raises(InputError, match="is a block of a city, whose blocks .* leave --poses out"):
-        prepare(block, options_of(poses="on"))
     with pytest.raises(InputError, match="^--poses on: does not go with --reproject, which"):
         resolve({}, {"poses": "on", "reproject": "auto"})

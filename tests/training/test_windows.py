@@ -18,6 +18,7 @@ from clsplat.io.runs.city import CityFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.blocks import seen_pixels
+from clsplat.partition.input import world_of
 from clsplat.partition.region import Region, Space
 from clsplat.partition.windows import find_windows
 from clsplat.rendering.slabs import Parts, SlabRenderer
@@ -156,7 +157,7 @@ def test_a_photo_is_read_in_part(tmp_path):
 def test_windows_hold_what_the_region_reaches(scene, gaussians):
     region = region_of(scene, 0.3)
     windows = find_windows(gaussians, scene, region, scene.views)
-    reached = replace(scene, region=region).reached(gaussians.positions)
+    reached = region.reaches(world_of(scene, gaussians.positions))
     assert len(windows) > 20
     areas, shown = [], []
     for view in scene.views:
@@ -192,10 +193,10 @@ def test_a_scene_cropped_keeps_the_observations_that_it_shows(scene):
 
 
 def test_windows_change_little_of_the_pixels_that_show_a_block(scene, gaussians):
-    part = replace(scene, region=region_of(scene, 0.3))
-    cropped = part.cropped(find_windows(gaussians, scene, part.region, scene.views))
-    whole = seen_pixels(part, part.views)
-    assert 0.75 * whole < seen_pixels(cropped, cropped.views) < 1.1 * whole
+    region = region_of(scene, 0.3)
+    cropped = scene.cropped(find_windows(gaussians, scene, region, scene.views))
+    whole = seen_pixels(scene, region, scene.views)
+    assert 0.75 * whole < seen_pixels(cropped, region, cropped.views) < 1.1 * whole
 
 
 @pytest.fixture

@@ -14,7 +14,6 @@ there are not trained again. The machine should do nothing else, as their time c
     thinning          largest_sizes: surroundings smaller than a pixel are all kept; --workers 1,
                       as blocks in other processes would thin at exchanges: its time compares with
                       that of sharing
-    backdrops         --surroundings gaussians; backdrops-on: --surroundings layers
     exchanges         --exchanges 0 without the joint training; exchanges-on: 3 with it
     joint training    the column `joint` (--joint-steps none)
     sharing           --workers 1: nothing changes but the time
@@ -71,8 +70,7 @@ PATCHES: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
     "levels": ("clsplat.city.finish", "write_levels", nothing),
 }
 # mechanism -> flags; those that are of use with a joint training alone, or without one alone
-FLAGS = {"none": (), "backdrops": ("--surroundings", "gaussians"),
-         "backdrops-on": ("--surroundings", "layers"), "sharing": ("--workers", "1"),
+FLAGS = {"none": (), "sharing": ("--workers", "1"),
          "thinning": ("--workers", "1"), "exchanges": ("--exchanges", "0"),
          "exchanges-on": ("--exchanges", "3")}
 ONLY = {"exchanges": False, "exchanges-on": True}  # with a joint training, or without one
@@ -129,7 +127,6 @@ def trained(out: Path, scene: Scene, off: str, joint: bool, seed: int, flags: li
     run = Run.open(folder)
     found = [each for each in RunFolder(folder).records() if each["event"] == "eval"][-1]
     return {**record, **{key: found[key] for key in (*SCORES, "gaussians")},
-            "layers": sum(block.get("layers", 0) for block in _blocks(folder)),
             "device": run.record.get("opencl_device"), "commit": run.record.get("commit")}
 
 
@@ -141,10 +138,6 @@ def city(off: str, words: list[str]) -> None:
         where = import_module(module)
         setattr(where, name, substitute(getattr(where, name)))
     clsplat(["city", *words])
-
-
-def _blocks(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(path.read_text()) for path in folder.glob("blocks/*/block.json")]
 
 
 def _key(record: dict[str, Any]) -> tuple[str, str, bool, int]:

@@ -11,7 +11,6 @@ import json
 import os
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +35,10 @@ from clsplat.scene import Scene, View
 PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
 PICTURE = "partition.png"  # the partition as an image
 WINDOWS, VISITS = "windows", "visits"  # keys of region.json
-LAYERS = "layers"  # key of block.json: how many gaussians surroundings.ply has
 EXCHANGES = "exchanges"  # key of block.json: after how many steps blocks exchange gaussians
 DENSE = "dense"  # key of block.json: how many gaussians begin at dense points
 OTHERS = "others"  # and: the numbers of the blocks with which it does so
-INITIAL, SURROUNDINGS = "initial.ply", "surroundings.ply"
+INITIAL = "initial.ply"
 
 
 class CityFolder:
@@ -140,7 +138,6 @@ class CityFolder:
                     region: Region, windows: Mapping[str, tuple[int, int, int, int]],
                     initial: Gaussians, exposures: Mapping[str, Response] | None,
                     options: Mapping[str, Any], identity: Mapping[str, Any],
-                    surroundings: Gaussians | None = None,
                     visits: Mapping[str, float] | None = None) -> BlockFolder:
         """Write a block as an ordinary scene folder.
 
@@ -155,8 +152,7 @@ class CityFolder:
         exposures : responses of views, by name.
         options : of the block's training, for block.json.
         identity : for block.json, `identity()` and other facts about the block.
-        surroundings : gaussians that are drawn as layers, in the scene's frame.
-        visits : of the views, by name (`View.visits`); None: all alike.
+        visits : of the views, by name (`city.scene.BlockScene`); None: all alike.
 
         Raises
         ------
@@ -186,8 +182,6 @@ class CityFolder:
                     view.name: exposures[view.name] for view in part.views
                     if view.name in exposures})
             write_ply(partial / INITIAL, initial, scene.offset, sphere=True)
-            if surroundings is not None:
-                write_ply(partial / SURROUNDINGS, surroundings, scene.offset)
             write_object(partial / BLOCK, record)
             os.rename(partial, block.path)
         except BaseException as error:
@@ -207,13 +201,11 @@ class BlockFolder:
     ----------
     initial : the PLY of its initial gaussians.
     run : the folder of its run.
-    around : the PLY of its surroundings after the first exchange, in its run.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.initial, self.run = self.path / INITIAL, self.path / "run"
-        self.around = self.run / SURROUNDINGS
 
     @property
     def exchanges(self) -> list[int]:
@@ -222,7 +214,7 @@ class BlockFolder:
 
     @property
     def others(self) -> list[int]:
-        """Numbers of the other blocks whose gaussians the block trains or draws, ascending."""
+        """Numbers of the other blocks whose gaussians the block holds, ascending."""
         return self._numbers(OTHERS, 0)
 
     def _numbers(self, key: str, least: int) -> list[int]:
@@ -235,13 +227,32 @@ class BlockFolder:
                              "remove the block, and run `clsplat partition` again")
         return numbers
 
-    def part(self, number: int) -> Path:
+    def exchanged(self, number: int) -> Path:
         """The file of what the block owns at the exchange of this number, from 1."""
         return self.run / f"exchange_{number}.npz"
 
     def start(self) -> str:
-        """SHA-256 of `initial`, which names the block in its models, parts and surroundings."""
+        """SHA-256 of `initial`, which names the block in its models and exchanges."""
         return digest_of(self.initial)
+
+    def region(self) -> tuple[Region, dict[str, float]]:
+        """The region of the block, and name of a view -> how often a training visits it."""
+        path = self.path / REGION
+        record = _read(path, {}, "partition the city again")
+        try:
+            visits = record.get(VISITS, {})
+            if type(visits) is not dict or not all(type(each) is float and each > 0
+                                                   for each in visits.values()):
+                raise ValueError("the visits of its views are not positive numbers")
+            return Region.from_record(record), visits
+        except ValueError as error:
+            raise InputError(f"{path}: damaged ({reason(error)}); partition the city again"
+                             ) from None
+
+    def responses(self) -> dict[str, Response] | None:
+        """The responses of views from the coarse run; None: it learned none."""
+        path = self.path / EXPOSURES
+        return read_exposures(path) if path.is_file() else None
 
     def check_own(self, model: Path) -> None:
         """InputError for a PLY of another block's training. One of an earlier version does not
@@ -267,10 +278,9 @@ class BlockFolder:
         """InputError if the block lacks its region, or if it lies, perhaps by a link, in a city to
         which it does not belong."""
         record = self.read()
-        for name in (REGION, *(SURROUNDINGS,) * bool(record.get(LAYERS))):
-            if not (self.path / name).is_file():
-                raise InputError(f"{self.path / name}: missing from the block; remove the block, "
-                                 "and run `clsplat partition` again")
+        if not (self.path / REGION).is_file():
+            raise InputError(f"{self.path / REGION}: missing from the block; remove the block, "
+                             "and run `clsplat partition` again")
         above = {path.parents[1] for path in (self.path.absolute(), self.path.resolve())
                  if len(path.parents) > 1}
         for city in map(CityFolder, sorted(above)):
@@ -283,28 +293,18 @@ class BlockFolder:
                         f"remove it, and run `clsplat partition {city.path}` again")
 
 
-def attached(scene: Scene, folder: Path) -> Scene:
-    """Add the region, the windows, the surroundings and the exposures of its folder to a scene, if
-    it is a block's."""
+def cropped_to_windows(scene: Scene, folder: Path) -> Scene:
+    """The scene of its folder, with views cropped to the windows there if it is a block's."""
     if not (folder / REGION).is_file():
         return scene
     path = folder / REGION
+    windows = _read(path, {WINDOWS: dict}, "partition the city again")[WINDOWS]
     try:
-        record = _read(path, {WINDOWS: dict}, "partition the city again")
-        region, windows = Region.from_record(record), record[WINDOWS]
         for view in scene.views:
             _check_window(view, windows.get(view.name))
-        visits = record.get(VISITS, {})
-        if type(visits) is not dict or not all(type(each) is float and each > 0
-                                               for each in visits.values()):
-            raise ValueError("the visits of its views are not positive numbers")
     except ValueError as error:
         raise InputError(f"{path}: damaged ({reason(error)}); partition the city again") from None
-    has_exposures, around = (folder / EXPOSURES).is_file(), folder / SURROUNDINGS
-    views = tuple(replace(view, visits=visits.get(view.name, 1.0)) for view in scene.views)
-    return replace(replace(scene, views=views).cropped(windows), region=region,
-                   surroundings=around if around.is_file() else None,
-                   exposures=read_exposures(folder / EXPOSURES) if has_exposures else None)
+    return scene.cropped(windows)
 
 
 def _check_window(view: View, window: Any) -> None:

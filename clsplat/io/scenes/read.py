@@ -15,7 +15,7 @@ from clsplat.errors import InputError
 from clsplat.io.georeference.files import placed
 from clsplat.io.photos.masks import with_masks
 from clsplat.io.reason import reason
-from clsplat.io.runs.city import attached
+from clsplat.io.runs.city import cropped_to_windows
 from clsplat.io.scenes.citygs import has_parts, read_citygs
 from clsplat.io.scenes.colmap import has_model, read_colmap
 from clsplat.io.scenes.projects.metashape import find_metashape, read_metashape
@@ -49,7 +49,7 @@ def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
     """
     path = Path(path)
     if os.path.isdir(path):
-        return placed(attached(with_masks(_read_folder(path, images), path), path), path)
+        return placed(cropped_to_windows(with_masks(_read_folder(path, images), path), path), path)
     if not os.path.exists(path):
         raise InputError(f"{path}: no such scene; give a folder of photos, a folder with images "
                          "and sparse/0, or the file of a project")

@@ -2,44 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from clsplat.config.plug_in import guarded, overridden
 from clsplat.loss.registry import REGISTERED
 from clsplat.training.part import Part
-from clsplat.training.parts.backdrop import Backdrop
 from clsplat.training.parts.depth_maps import DepthMaps
 from clsplat.training.parts.exposures import PhotoResponses
-from clsplat.training.parts.frozen_rows import FrozenRows
 from clsplat.training.parts.image_term import ImageTerm
 from clsplat.training.parts.outlier_masks import OutlierMasks
 from clsplat.training.parts.poses import CameraPoses
 from clsplat.training.parts.position_noise import PositionNoise
 from clsplat.training.parts.regularisers import Regularisers
 from clsplat.training.parts.reprojection import Reprojection
-from clsplat.training.parts.sample_weights import SampleWeights
 
 if TYPE_CHECKING:
     from clsplat.training.start.prepare import PreparedScene
 
 PARTS: tuple[type[Part], ...] = (
-    CameraPoses, PhotoResponses, Backdrop, ImageTerm, Reprojection, DepthMaps, Regularisers,
-    PositionNoise, OutlierMasks, FrozenRows, SampleWeights)
+    CameraPoses, PhotoResponses, ImageTerm, Reprojection, DepthMaps, Regularisers,
+    PositionNoise, OutlierMasks)
 
 
-def parts_of(prepared: PreparedScene, given: Iterable[Part] = ()) -> list[Part]:
-    """The parts of a training.
-
-    Parameters
-    ----------
-    prepared : the scene and its options.
-    given : more of them; one with the name of another takes its place.
-    """
+def parts_of(prepared: PreparedScene) -> list[Part]:
+    """The parts of a training: those that its options ask for, and those that were given, of which
+    one with the name of another takes its place."""
     registered = [registered_part(name) for name in prepared.options.add_parts]
     own = [kind() for kind in (*PARTS, *registered) if kind.is_used(prepared)]
-    parts = {part.name: part for part in (*own, *given)}
-    return list(parts.values())
+    return list({part.name: part for part in (*own, *prepared.given)}.values())
 
 
 def registered_part(name: str) -> type[Part]:

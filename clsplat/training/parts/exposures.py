@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +18,6 @@ from clsplat.training.part import Decision, Inputs, Part, State, Survey, ViewPas
 
 if TYPE_CHECKING:
     from clsplat.io.runs.run import RunFolder
-    from clsplat.scene import Scene, View
     from clsplat.training.session import Session
     from clsplat.training.start.prepare import PreparedScene
 
@@ -27,6 +26,12 @@ SAMPLED_PHOTOS = 64  # whose brightness is compared
 
 class PhotoResponses(Part):
     """Applies the response of its photo to each image before the loss, and learns it.
+
+    Parameters
+    ----------
+    known : the responses of views by name, at which learning begins; a view that has none begins
+        with the identity. None: all do.
+    learns : whether they are learned, or stay as they are.
 
     Attributes
     ----------
@@ -37,6 +42,9 @@ class PhotoResponses(Part):
     Options = ExposureOptions
     exposures: Exposures
 
+    def __init__(self, known: Mapping[str, Response] | None = None, learns: bool = True) -> None:
+        self._known, self._learns = known, learns
+
     @classmethod
     def decide(cls, survey: Survey) -> dict[str, Decision]:
         """On if the brightness of photos drifts; vignetting only with exposures."""
@@ -45,19 +53,19 @@ class PhotoResponses(Part):
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
-        """Whether responses are learned, or were by the coarse run."""
+        """Whether responses are learned."""
         return prepared.options.exposure == "on"
 
     def begin(self, session: Session) -> None:
-        """As `Part.begin`; a block goes on with the responses of the coarse run."""
-        scene, options, views = session.scene, session.options, session.train_views
-        initial = initial_responses(scene, session.train_views)
+        """As `Part.begin`."""
+        options, views = session.options, session.train_views
+        known = self._known and [self._known.get(view.name, Response()) for view in views]
+        lenses = None if options.vignetting != "on" else (
+            Lenses.of_responses(known) if known else
+            Lenses.of_cameras([view.camera for view in views]))
         self.exposures = Exposures(
-            # blocks that learned their own would not agree
-            session.device, len(views), learns=initial is None or scene.region is None,
-            initial=None if initial is None else np.array([
-                response.transform for response in initial]),
-            lenses=lenses_of(scene, views, options))
+            session.device, len(views), learns=self._learns, lenses=lenses,
+            initial=np.array([response.transform for response in known]) if known else None)
         self.skipped = self.exposures.skipped
 
     def recentre(self) -> None:
@@ -72,7 +80,7 @@ class PhotoResponses(Part):
         """As `Part.adjoint`, with one step of Adam on the response."""
         assert work.grad.image is not None  # the image term is always used
         work.grad.image, partials = self.exposures.adjoint(
-            work.view, work.camera, work.frame.image, work.grad.image, work.backdrop)
+            work.view, work.camera, work.frame.image, work.grad.image)
         self.exposures.step(work.view, partials, work.counts)
 
     def responses(self, session: Session) -> dict[str, Response]:
@@ -91,25 +99,6 @@ class PhotoResponses(Part):
     def write(self, run: RunFolder, session: Session) -> None:
         """Write exposures.json."""
         run.save_exposures(self.responses(session))
-
-
-def initial_responses(scene: Scene, views: Iterable[View]) -> list[Response] | None:
-    """The responses of a block's views, from the coarse run; None without them.
-
-    A view that has none gets the identity.
-    """
-    if not scene.exposures:
-        return None
-    return [scene.exposures.get(view.name, Response()) for view in views]
-
-
-def lenses_of(scene: Scene, views: Sequence[View], options: ExposureOptions) -> Lenses | None:
-    """The lenses of the training views; None if nothing is learned of them."""
-    if options.vignetting != "on":
-        return None
-    known = initial_responses(scene, views)
-    return (Lenses.of_responses(known) if known else
-            Lenses.of_cameras([view.camera for view in views]))
 
 
 def _exposure(survey: Survey) -> Decision:

@@ -54,14 +54,13 @@ class ObservedView:
     camera : real[27], packed.
     photo : uint8[3, H, W].
     valid : bool[H, W], pixels that count by the photo's own mask.
-    exposure, backdrop : as for `Renderer.render`.
+    exposure : as for `Renderer.render`.
     """
 
     camera: Array
     photo: NDArray[np.uint8]
     valid: NDArray[np.bool_]
     exposure: Exposure | None = None
-    backdrop: Array | None = None
 
 
 def cells_of(length: int) -> int:
@@ -169,8 +168,7 @@ class ResidualModel:
     def _frame(self, view: ObservedView) -> Frame:
         _, height, width = view.photo.shape
         return self.renderer.render(
-            self.rows, view.camera, width, height, self.sh_degree, exposure=view.exposure,
-            backdrop=view.backdrop)
+            self.rows, view.camera, width, height, self.sh_degree, exposure=view.exposure)
 
     def _sums(self, frame: Frame, view: ObservedView, residual: NDArray[np.float64]
               ) -> tuple[NDArray[np.uint32], NDArray[np.float64], NDArray[np.float64]]:
@@ -349,4 +347,4 @@ def _observed(session: Session) -> Iterator[ObservedView]:
     """All training views at this level, with their photos."""
     for index, work in enumerate(session.shown(range(len(session.train_views)))):
         photo = session.photos.unweighed(index)
-        yield ObservedView(work.camera, photo[:3], photo[3] > 0, work.exposure, work.backdrop)
+        yield ObservedView(work.camera, photo[:3], photo[3] > 0, work.exposure)

@@ -6,18 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from clsplat.errors import InputError
 from clsplat.io.runs.learned import write_poses
 from clsplat.optimise.options import PoseOptions
 from clsplat.optimise.pose import LEARNED, Poses, pose_rate
 from clsplat.placement.corrections import Correction, typical_depth
 from clsplat.training.part import (
-    Decision,
     Inputs,
     Now,
     Part,
     State,
-    Survey,
     TrainingSample,
     ViewPass,
 )
@@ -41,14 +38,6 @@ class CameraPoses(Part):
     Options = PoseOptions
     needs_pose = True
     poses: Poses
-
-    @classmethod
-    def decide(cls, survey: Survey) -> dict[str, Decision]:
-        """Refuse blocks, which would correct the same poses differently."""
-        if survey.options.poses == "on" and survey.scene.region:
-            raise InputError(f"{survey.scene.name}: is a block of a city, whose blocks would "
-                             "correct the same poses differently; leave --poses out")
-        return {}
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:

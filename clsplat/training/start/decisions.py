@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from clsplat.schedule import (
 from clsplat.schedule.simulate import largest, simulate
 from clsplat.stereo.dense_points import stereo_views
 from clsplat.training.model import DEVICE_SHARE, model_bytes
-from clsplat.training.part import Decision, Survey, requested
+from clsplat.training.part import Decision, Part, Survey, requested
 from clsplat.training.parts import PARTS, registered_part
 from clsplat.training.start.dense_start import chosen_start, planned_count
 from clsplat.training.start.facts import scene_facts
@@ -70,8 +70,8 @@ class Decisions:
 
 
 def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
-                   device: Device | None = None, thumbnails: Thumbnails | None = None
-                   ) -> Decisions:
+                   device: Device | None = None, thumbnails: Thumbnails | None = None,
+                   given: Sequence[Part] = ()) -> Decisions:
     """Decide about all that is optional; InputError where an option cannot be met.
 
     Parameters
@@ -82,10 +82,13 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     device : where it trains; None leaves the choice of the Adam engine to `model.Model`, by the
         number of initial gaussians.
     thumbnails : small photos of the views.
+    given : parts besides those that the options ask for.
     """
     thumbnails = thumbnails or Thumbnails(views)
     facts, schedule = scene_facts(scene, views, thumbnails), schedule_of(options.schedule)
-    length, most = _steps(scene, len(views), options, facts)
+    for part in given:
+        facts = part.facts(facts, scene, views, None)
+    length, most = _steps(len(views), options, facts, is_stage(options, given))
     options = scaled_steps(dataclasses.replace(options, iterations=length.value))
     survey = Survey(scene, views, options, thumbnails)
     of_parts = {name: decision for part in (*PARTS, *map(registered_part, options.add_parts))
@@ -129,17 +132,16 @@ def needed_degree(cap: float) -> int:
     return HIGHEST_DEGREE
 
 
-def is_part_of_city(scene: Scene, options: RunOptions) -> bool:
-    """Whether this is the training of a coarse run, a block or the merged model, which the city's
-    report shows."""
-    return options.coarse or scene.exposures is not None or scene.region is not None
+def is_stage(options: RunOptions, parts: Iterable[Part]) -> bool:
+    """Whether a training is a stage of a larger one (`Part.is_stage`), such as a coarse run."""
+    return options.coarse or any(part.is_stage for part in parts)
 
 
-def _steps(scene: Scene, photos: int, options: ScheduledOptions, facts: SceneFacts
+def _steps(photos: int, options: ScheduledOptions, facts: SceneFacts, stage: bool
            ) -> tuple[Decision, int]:
-    """(The number of steps before `steps_scale`, the most with it). Parts of a city take as many as
-    they are told."""
-    if is_part_of_city(scene, options):  # their photos need not be compared
+    """(The number of steps before `steps_scale`, the most with it). A stage takes as many as its
+    options say."""
+    if stage:  # its photos need not be compared
         return Decision(*planned_steps(options, photos)), MOST_STEPS
     steps, most, reason = worthwhile_steps(options, facts, photos)
     scaled = max(1, round(most * options.steps_scale)) if most else MOST_STEPS

@@ -50,8 +50,8 @@ def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions,
     if not dense:
         if not schedule_of(options.schedule).begins_dense:
             return "sfm", f"sfm: the sparse points, as --schedule {options.schedule} is published"
-        if options.coarse or scene.region is not None:
-            return "sfm", "sfm: the sparse points, in a part of a city"
+        if options.coarse:
+            return "sfm", "sfm: the sparse points, in the coarse run of a city"
         if options.snapshots:  # distant views are drawn by these
             return "sfm", "sfm: the sparse points, so that snapshots of coarser levels are small"
         if options.time_budget and seconds_of(options.time_budget) < LEAST_SECONDS * len(views):

@@ -6,7 +6,6 @@ from functools import cache, partial
 from clsplat.covisibility.disagreement import colour_disagreement
 from clsplat.covisibility.source_views import photos_of_a_point
 from clsplat.gaussians import mean_inverse_distance
-from clsplat.partition.blocks import seen_pixels
 from clsplat.scene import Scene, View
 from clsplat.schedule import SceneFacts
 from clsplat.training.photos import decoded
@@ -27,7 +26,8 @@ def scene_facts(scene: Scene, views: Sequence[View], thumbnails: Thumbnails | No
     """
     return SceneFacts(
         smallest_size(views), len(scene.points), mean_inverse_distance(scene.points) / scene.unit,
-        lambda: (photo[:3] for photo in decoded(views)), seen_pixels(scene, views),
+        lambda: (photo[:3] for photo in decoded(views)),
+        sum(view.camera.width * view.camera.height for view in views),
         cache(partial(_disagreement, scene, thumbnails or Thumbnails(views))),
         photos_of_a_point(scene, views))
 

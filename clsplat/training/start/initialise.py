@@ -14,7 +14,6 @@ from clsplat.io.models.formats import count_of, is_model, read_model
 from clsplat.io.models.quantise import morton_order
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.options import TrainOptions
-from clsplat.rendering.options import RenderingOptions
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of
 
@@ -84,11 +83,3 @@ def planned_initial(facts: SceneFacts, options: SceneOptions) -> SceneFacts:
     if points or not (os.path.exists(options.init) and is_model(options.init)):
         return facts
     return replace(facts, count=count_of(options.init))
-
-
-def surrounding_gaussians(scene: Scene, options: RenderingOptions) -> Gaussians | None:
-    """The gaussians around a block that its views show as layers; None: there are none."""
-    if scene.surroundings is None:
-        return None
-    gaussians = read_model(scene.surroundings, scene.offset).scaled(1 / scene.unit)
-    return gaussians.with_sh_degree(options.sh_degree).without_spheres()

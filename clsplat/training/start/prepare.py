@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from clsplat.device import Device
@@ -10,11 +10,10 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.photos.depth import with_depths
 from clsplat.options import ScheduledOptions, TrainOptions
-from clsplat.partition.blocks import trainable
 from clsplat.scene import Scene, View
 from clsplat.schedule import Schedule, schedule_of
+from clsplat.training.part import Part
 from clsplat.training.start.decisions import Decisions, find_decisions
-from clsplat.training.start.initialise import surrounding_gaussians
 from clsplat.training.start.thumbnails import Thumbnails
 
 
@@ -29,6 +28,7 @@ class PreparedScene:
     train_views, test_views : the training views and the held-out views.
     decisions : all that was decided.
     thumbnails : small photos of the training views.
+    given : parts besides those that the options ask for.
     """
 
     scene: Scene
@@ -36,6 +36,7 @@ class PreparedScene:
     test_views: tuple[View, ...]
     decisions: Decisions
     thumbnails: Thumbnails
+    given: tuple[Part, ...] = ()
 
     @property
     def options(self) -> TrainOptions:
@@ -47,11 +48,6 @@ class PreparedScene:
         """Distance of the near plane, in units of the scene."""
         return self.scene.near(self.options.near)
 
-    @functools.cached_property
-    def surroundings(self) -> Gaussians | None:
-        """What a block draws as layers, in the scene's frame; None: nothing."""
-        return surrounding_gaussians(self.scene, self.options)
-
     def schedule(self, gaussians: Gaussians, options: ScheduledOptions | None = None) -> Schedule:
         """A new schedule.
 
@@ -61,12 +57,14 @@ class PreparedScene:
         options : instead of `self.options`.
         """
         options = options or self.options
-        count = (int(trainable(self.scene, gaussians.positions, gaussians.log_scales).sum())
-                 if self.scene.region else gaussians.count)
-        return schedule_of(options.schedule)(options, replace(self.decisions.facts, count=count))
+        facts = replace(self.decisions.facts, count=gaussians.count)
+        for part in self.given:
+            facts = part.facts(facts, self.scene, self.train_views, gaussians)
+        return schedule_of(options.schedule)(options, facts)
 
 
-def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -> PreparedScene:
+def prepare(scene: Scene, options: TrainOptions, device: Device | None = None,
+            parts: Iterable[Part] = ()) -> PreparedScene:
     """Prepare a scene for training; InputError where that is impossible.
 
     Parameters
@@ -74,7 +72,9 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -
     scene : as it was read.
     options : as the user gave them.
     device : of the training.
+    parts : besides those that the options ask for.
     """
+    parts = tuple(parts)
     scene = with_depths(scene, options.depth)
     scene = scene.reduced(options.downscale, options.max_resolution).normalised()
     if len(scene.views) < 2:
@@ -91,4 +91,4 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -
                          f"{len(scene.views)} views; use a smaller number")
     thumbnails = Thumbnails(train_views)
     return PreparedScene(scene, train_views, test_views, find_decisions(
-        scene, train_views, options, device, thumbnails), thumbnails)
+        scene, train_views, options, device, thumbnails, parts), thumbnails, parts)

@@ -35,10 +35,9 @@ def find_warnings(scene: Scene, thumbnails: Thumbnails, opacity_logits: NDArray[
     opacity_logits : [N], of the initial gaussians.
     """
     chosen, photos = thumbnails.sampled(SAMPLED_PHOTOS)
-    # the coarse run of a city gives the notes once, for all blocks
-    problems = (scene.notes if scene.region is None else (),
-                _few(len(thumbnails.views), len(opacity_logits)), _faint(opacity_logits),
-                _parallax(scene), _cover(scene.points, chosen), _photos(chosen, list(photos)))
+    problems = (scene.notes, _few(len(thumbnails.views), len(opacity_logits)),
+                _faint(opacity_logits), _parallax(scene), _cover(scene.points, chosen),
+                _photos(chosen, list(photos)))
     return [text for texts in problems for text in texts]
 
 

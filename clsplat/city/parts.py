@@ -1,0 +1,95 @@
+"""What makes an ordinary training a stage of a city: its parts (training/part.py)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.gaussians import Gaussians
+from clsplat.partition.blocks import seen_pixels, trainable
+from clsplat.partition.region import Region
+from clsplat.scene import Scene, View
+from clsplat.schedule import SceneFacts
+from clsplat.training.part import Part, State
+
+if TYPE_CHECKING:
+    from clsplat.schedule.growth import Growth
+    from clsplat.training.model import Model
+    from clsplat.training.session import Session
+
+
+class Stage(Part):
+    """The city decides about the training, and shows its result."""
+
+    name = "stage"
+    is_stage = True
+
+
+class FrozenRows(Stage):
+    """Freezes the gaussians that a block does not train.
+
+    Parameters
+    ----------
+    region : of the block.
+    """
+
+    name = "frozen"
+
+    def __init__(self, region: Region) -> None:
+        self.region = region
+
+    def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View],
+              gaussians: Gaussians | None) -> SceneFacts:
+        """As `Part.facts`: the pixels that show what the block reaches, and what it trains there.
+        """
+        if gaussians is None:
+            return replace(facts, pixels=seen_pixels(scene, self.region, views))
+        return replace(facts, count=int(trainable(
+            scene, self.region, gaussians.positions, gaussians.log_scales).sum()))
+
+    def begin(self, session: Session) -> None:
+        """As `Part.begin`."""
+        self._scene = session.scene
+
+    def rows_changed(self, model: Model, growth: Growth | None) -> None:
+        """Freeze anew the rows that are new, or all."""
+        known = np.zeros(0, bool)
+        if growth is not None and model.frozen is not None:
+            known = model.frozen.download()[growth.source[:growth.unchanged]] > 0
+        positions, log_scales = (model.rows[name].download()[len(known):]
+                                 for name in ("positions", "log_scales"))
+        trains = trainable(self._scene, self.region, positions, log_scales)
+        model.frozen = model.device.upload(np.concatenate([known, ~trains]).astype(np.uint32))
+        self._model = model
+
+    def state(self) -> State:
+        """As `Part.state`."""
+        assert self._model.frozen is not None
+        return {"rows": self._model.frozen.download()}
+
+    def load(self, state: State, session: Session) -> None:
+        """As `Part.load`."""
+        assert self._model.frozen is not None
+        self._model.frozen.write(state["rows"])
+
+
+class SampleWeights(Part):
+    """Visits each photo of a block as often as it shows what the block owns.
+
+    Parameters
+    ----------
+    weights : how often, in any unit, by the name of a view; 1 for others.
+    """
+
+    name = "weights"
+
+    def __init__(self, weights: Mapping[str, float]) -> None:
+        self._weights = weights
+
+    def visits(self, views: Sequence[View]) -> NDArray[np.float64]:
+        """As `Part.visits`."""
+        return np.array([self._weights.get(view.name, 1.0) for view in views])
