@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 FOLDER = Path.home() / ".cache" / "clsplat-tests"
-SECONDS = 20  # between two exchanges of a worker: to look through a whole cache takes 0.2 s
+SECONDS = 20  # between two exchanges of a worker: to look through a whole cache takes 0.3 s
 
 
 class SharedKernels:
@@ -20,15 +20,27 @@ class SharedKernels:
 
     def __init__(self, worker, folder=FOLDER):
         self.own, self.shared, self._looked = folder / worker, folder / "shared", 0.0
+        self._seen = {}  # folder -> when it had last got a program
         self.own.mkdir(parents=True, exist_ok=True)
         os.environ["POCL_CACHE_DIR"] = str(self.own)
 
     def exchange(self, at_once=False):
-        """Give and take what the other side lacks."""
+        """Give and take what the other side lacks, if it may have got a program since."""
         if at_once or time.monotonic() - self._looked > SECONDS:
-            link_missing(self.own, self.shared)
-            link_missing(self.shared, self.own)
+            for source, target in ((self.own, self.shared), (self.shared, self.own)):
+                latest = changed(source)
+                if at_once or latest != self._seen.get(source):
+                    link_missing(source, target)
+                    self._seen[source] = latest
             self._looked = time.monotonic()
+
+
+def changed(cache):
+    """When a program was last added to a cache, in which they lie two folders deep."""
+    if not cache.is_dir():
+        return 0
+    with os.scandir(cache) as folders:
+        return max([each.stat().st_mtime_ns for each in folders], default=0)
 
 
 def link_missing(source, target):
