@@ -68,16 +68,6 @@ def test_twenty_shared_points_are_needed(points, expected):
     assert chosen(circle(0, 10, points=points)) == expected
 
 
-def test_few_views_and_views_that_see_nothing():
-    scene = circle(0, 10, 20)
-    assert choose_source_views(scene, ()) == []
-    assert chosen(replace(scene, views=scene.views[:1], observations=None)) == [[]]
-    blind = scene.observations[scene.observations[:, 1] != 1]
-    sources = choose_source_views(replace(scene, observations=blind), scene.views)
-    assert [s.tolist() for s in sources] == [[2], [], [0]]
-    assert all(s.dtype.kind == "i" for s in sources)
-
-
 def test_projected_points_lie_in_front_of_the_camera_and_in_the_image():
     scene = replace(circle(0, 10, 20), observations=None)
     camera = scene.views[1].camera
@@ -87,21 +77,6 @@ def test_projected_points_lie_in_front_of_the_camera_and_in_the_image():
                    replace(camera, centre=(-1.0, 24.0)), replace(camera, centre=(32.0, 49.0))):
         views = (scene.views[0], replace(scene.views[1], camera=turned), scene.views[2])
         assert [s.tolist() for s in choose_source_views(scene, views)] == [[2], [], [0]]
-
-
-def test_indices_count_the_views_of_the_part():
-    scene = circle(0, 30, 10, 20, 40, names=("a", "b", "c", "d", "e"))
-    train, test = scene.split(3)  # b, c, e at 30, 10, 40 and a, d at 0, 20 degrees
-    assert [s.tolist() for s in choose_source_views(scene, train)] == [[2, 1], [0, 2], [0, 1]]
-    assert [s.tolist() for s in choose_source_views(scene, test)] == [[1], [0]]
-    assert [s.tolist() for s in choose_source_views(scene, train[::-1])] == [[2, 1], [2, 0], [0, 1]]
-
-
-def test_a_point_at_a_camera_is_not_shared():
-    scene = circle(0, 10)
-    scene.points[:25] = scene.views[0].camera.position
-    with np.errstate(all="raise"):
-        assert chosen(scene) == [[], []]
 
 
 @pytest.mark.slow

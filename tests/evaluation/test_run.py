@@ -5,20 +5,16 @@ import shutil
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from clsplat.api.run import Run
 from clsplat.api.score import Score
 from clsplat.cli.evaluate import summary
-from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.evaluation import run as run_module
 from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.run import to_render
 from clsplat.evaluation.views import evaluate_run, photo_of, render_view
 from clsplat.gaussians import Gaussians
-from clsplat.io.models.formats import write_model
-from clsplat.io.photos.images import read_image
 from clsplat.io.runs.learned import write_poses
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
@@ -162,36 +158,3 @@ def test_a_renderer_draws_as_the_run_was_trained(run, scene, item_device):
     empty.rows["opacity_logits"][:] = -30
     image = render_view(*run.opened(item_device, small, empty), small.views[0].camera)
     assert np.allclose(image, OPTIONS["background"], atol=1e-3)
-
-
-@pytest.mark.slow
-def test_pictures_of_a_run_and_of_its_model(run, tmp_path, scene, item_device):
-    def rendered(path, *words):
-        out = tmp_path / f"out {len(list(tmp_path.iterdir()))}"
-        result = CliRunner().invoke(main, ["render", str(path), "-o", str(out), "--device",
-                                           item_device.name, *map(str, words)])
-        return result, out
-
-    result, out = rendered(run.path, "--views", "test")
-    test = scene.reduced(8).split(16)[1]
-    assert result.output == f"{len(test)} pictures: {out}\n"
-    names = {path.relative_to(out).as_posix() for path in out.rglob("*.png")}
-    assert names == {f"{view.name}.png" for view in test}
-    picture = read_image(out / f"{test[0].name}.png")
-    drawn = render_view(*run.opened(item_device, run.scene()), test[0].camera)
-    assert abs(picture / 255 - drawn).max() <= 0.5 / 255 + 1e-6
-    run.folder.write_options({**run.record, "test_offset": 3, "scene": CITY})
-    _, out = rendered(run.path, "--views", "test")
-    others = {path.relative_to(out).as_posix() for path in out.rglob("*.png")}
-    assert others == {f"{view.name}.png" for view in scene.split(16, 3)[1]} and not names & others
-    result, out = rendered(run.folder.model_path, "--views", "test")
-    assert result.exit_code == 2
-    assert "point_cloud.ply: a file of gaussians has no cameras" in result.output
-    run.folder.write_options({**run.record, "test_every": 0, "test_offset": 0, "scene": CITY})
-    result, out = rendered(run.path, "--views", "test")
-    assert result.exit_code == 2 and "no test views; choose others with --views" in result.output
-    _, shown, options = to_render(run.folder.model_path, CITY)
-    assert not options.antialiased
-    write_model(tmp_path / "mip.spz", run.finished_model, ("SplatRenderMode: mip",))
-    assert to_render(tmp_path / "mip.spz", CITY)[2].antialiased
-    assert shown.views[0].camera.width == scene.views[0].camera.width and options.near == 0

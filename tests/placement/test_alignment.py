@@ -53,20 +53,6 @@ def test_positions_of_centimetres_are_met():
     assert np.abs(result.similarity(flight.places) - flight.true).max() < 0.1
 
 
-def test_heights_that_drift_neither_tilt_nor_scale(flight):
-    flight.gps[:, 2] += np.linspace(0, 80, 36)
-    result = aligned(flight.places, flight.gps, flight.up)
-    scale, tilt = flight.errors(result)
-    assert not result.levelled_by_heights and result.vertical > 10 > 3 > result.horizontal
-    assert scale < 0.02 and tilt < 3.5
-
-
-def test_heights_above_something_else_keep_the_scene_level(flight):
-    flight.gps[:, 2] = -5.5 + 0.1 * flight.rng.integers(0, 3, 36)
-    scale, tilt = flight.errors(aligned(flight.places, flight.gps, flight.up))
-    assert scale < 0.02 and tilt < 1.5
-
-
 def test_without_heights_the_cameras_level_the_scene(flight):
     flight.gps[:, 2] = np.nan
     result = aligned(flight.places, flight.gps, flight.up)
@@ -99,14 +85,6 @@ def test_good_positions_count_more_than_bad_ones(flight):
     away = [np.abs(each.similarity(flight.places) - flight.true).max()
             for each in (result, plain)]
     assert away[0] < 0.15 < away[1]
-
-
-def test_a_single_strip_is_levelled_by_the_cameras():
-    flight = Flight(1, noise=0.5)
-    strip = slice(0, 6)
-    result = aligned(flight.places[strip], flight.gps[strip], flight.up)
-    scale, tilt = flight.errors(result)
-    assert scale < 0.05 and tilt < 4
 
 
 @pytest.mark.parametrize("positions", [

@@ -16,9 +16,8 @@ from clsplat.report.compare import (
     final_table,
     levels_from,
     time_table,
-    write_comparison,
 )
-from clsplat.report.figures import comparison_figure, cost_figure
+from clsplat.report.figures import cost_figure
 from clsplat.report.groups import (
     Trained,
     differing,
@@ -226,32 +225,6 @@ def test_the_command(folder):
                if run["folder"] == "sig.1")
     last = RunFolder.open(folder / "sig.1").records()[-1]
     assert run["psnr_cc"] == last["psnr_cc"] and run["train_seconds"] == last["train_seconds"]
-
-
-def test_no_curve_is_drawn_of_single_evaluations(tmp_path):
-    once = [trained("a", ((10, 20.0),), schedule="sig"),
-            trained("b", ((9, 21.0),), schedule="dash")]
-    assert comparison_figure(grouped(once), [20.0]) is None
-    assert comparison_figure(grouped([*once, trained("c", schedule="taming")]), [20.0])
-    for run in once:
-        folder = RunFolder.create(tmp_path / run.name)
-        folder.write_options(run.options)
-        folder.log(run.records[0])
-    (tmp_path / "compare.png").write_bytes(b"of another comparison")
-    text, page = write_comparison([tmp_path])
-    html = page.read_text()
-    assert Balanced(html).pictures == 0
-    for said in (text, html):
-        assert said.count("No curve") == 1 and "--eval-every" in said
-    assert not (tmp_path / "compare.png").exists()
-
-
-@pytest.mark.parametrize("words, complaint", [
-    (["compare"], "Missing argument"), (["compare", "/nowhere"], "/nowhere: holds no run"),
-    (["compare", ".", "--psnr", "nan"], "nan is not a finite number")])
-def test_bad_input(words, complaint):
-    done = CliRunner().invoke(main, words)
-    assert done.exit_code == 2 and complaint in done.output
 
 
 # --- campaigns

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.evaluation import survey as survey_module
 from clsplat.evaluation.survey import spreads, survey_of
 from clsplat.georeference import Georeference, Residual
 from clsplat.report import survey as section_module
@@ -80,15 +79,6 @@ def test_numbers_of_a_flight_that_can_be_computed_by_hand(tmp_path):
     middle = survey.overlap.counts[survey.overlap.counts.shape[0] // 2]
     assert np.median(middle) == 4
     assert survey.overlap.covered == pytest.approx(200 * 60, rel=0.05)  # as the points end there
-
-
-@pytest.mark.parametrize("scale", [1e-4, 1e5])
-def test_another_unit_changes_no_number(scale):
-    one, other = survey_of(flight()), survey_of(replace(flight(scale=scale), unit=1 / scale))
-    assert other.pixel == pytest.approx(one.pixel) and other.height == pytest.approx(one.height)
-    assert np.abs(other.overlap.counts - one.overlap.counts).max() <= 1
-    assert other.overlap.covered == pytest.approx(one.overlap.covered, rel=0.01)
-    assert np.allclose(other.cameras, one.cameras)
 
 
 def test_residuals_by_axis():
@@ -192,14 +182,6 @@ def test_a_survey_stands_between_pictures_and_scores(tmp_path, sketched):
     run.log({"event": "eval", "iteration": 9, "psnr": 21.0})
     html = write_report(run, pictures=pictures(), scene=flight()).read_text()
     assert headings(html)[:3] == ["Held-out views", "Survey", "Scores"]
-
-
-def test_a_survey_that_fails_is_a_line(monkeypatch):
-    def fails(*_):
-        raise MemoryError("no <room>")
-
-    monkeypatch.setattr(survey_module, "_overlap", fails)
-    assert "The survey could not be shown (no &lt;room&gt;)" in survey_html(flight())
 
 
 def test_a_warning_follows_from_the_size_of_the_flight():

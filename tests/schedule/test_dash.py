@@ -110,27 +110,7 @@ def test_the_factor_is_whole_and_changes_at_rounds_of_growth_only(plans):
             assert plans[steps + 1].level == int(schedule.scale(steps + 1))
 
 
-def test_a_moved_end_moves_the_curve_but_never_back():
-    schedule = schedule_of()
-    levels = [schedule.plan(i).level for i in range(1, 10002)]
-    assert levels[-1] > 1
-    schedule.options = dataclasses.replace(OPTIONS, iterations=90000, densify_until=81000)
-    assert schedule.scale(10100) > levels[-1] + 1  # it would have to rise
-    assert schedule.plan(10101).level == levels[-1]
-    schedule.options = dataclasses.replace(OPTIONS, iterations=12000, densify_until=10200)
-    assert schedule.plan(10201).level == 1
-
-
 # --- what else a step is told
-
-def test_positions_decay_from_where_the_factor_falls_below_two(plans):
-    began = next(i for i, plan in enumerate(plans) if plan.level < 2)
-    assert began > 600
-    assert all(plan.decay == 0 for plan in plans[:began + 1])
-    assert plans[began + 1].decay == pytest.approx(1 / (30000 - began))
-    assert plans[(began + 30000) // 2].decay == pytest.approx(0.5, abs=1e-4)
-    assert plans[-1].decay == pytest.approx(1 - 1 / (30000 - began))
-
 
 def test_rounds_and_resets(plans):
     rounds = [i + 1 for i, plan in enumerate(plans) if plan.grows]

@@ -6,8 +6,8 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.sfm import mapping
-from clsplat.sfm.database import create_database, partners
-from clsplat.sfm.mapping import good, map_photos, square, use_square_pixels
+from clsplat.sfm.database import create_database
+from clsplat.sfm.mapping import map_photos, square, use_square_pixels
 from clsplat.sfm.photos import cameras_of
 from clsplat.sfm.record import reasons
 from tests.sfm.cases import Lines, source, synthetic
@@ -40,23 +40,10 @@ def test_incremental_mapping_follows_what_does_not_register_all(tmp_path, monkey
     assert progress.counts[-1] == ("incremental mapping, photo", 5, 6)
 
 
-def test_a_photo_that_matches_no_other_does_not_ask_for_incremental_mapping(tmp_path):
-    synthetic(tmp_path / "d.db")
-    assert partners(tmp_path / "d.db") == dict.fromkeys(range(6), 5)
-    progress = Lines()
-    assert map_photos(tmp_path / "d.db", cameras_of([source()]), 7, progress).method == "global"
-    assert progress.phases == ["global mapping"]
-
-
 def test_photos_without_matches_are_refused(tmp_path):
     create_database(tmp_path / "d.db", cameras_of([source(f"{i}.jpg") for i in range(3)]))
     with pytest.raises(InputError, match="no photos could be placed"):
         map_photos(tmp_path / "d.db", cameras_of([source()]), 3, Lines())
-
-
-def test_a_bad_fit_is_not_good():
-    model = synthetic()
-    assert good([model], 6) and not good([model], 7) and not good([], 0)
 
 
 def test_reasons_name_what_is_missing(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.sfm import pairs
-from clsplat.sfm.pairs import choose_pairs, neighbours, positions, sequence, shared_features
+from clsplat.sfm.pairs import choose_pairs, shared_features
 from tests.sfm.cases import Lines, source
 
 
@@ -40,32 +40,9 @@ def test_neighbours_by_gps():
     assert (0, 59) not in set(map(tuple, chosen.rows.tolist()))
 
 
-@pytest.mark.parametrize("spacing", [0.0, 1e-7])
-def test_gps_that_is_coarser_than_the_scene_is_not_used(monkeypatch, spacing):
-    """Photos around a house by a telephone: each would be matched with the first sixteen."""
-    monkeypatch.setattr(pairs, "_largest", lambda database, count: np.array(
-        count * [np.eye(2, 128)]))
-    photos = located(60, spacing)
-    assert choose_pairs(None, photos, "auto", False, Lines()).reason.endswith("of similar content")
-    assert "by GPS" in choose_pairs(None, photos, "gps", False, Lines()).reason
-
-
-def test_positions_are_metres_across_the_date_line():
-    photos = [source(latitude=60.0, longitude=longitude) for longitude in (179.999, -179.999)]
-    photos.append(source())
-    places = positions([*photos, photos[0], photos[1]])  # whose median is at the other side
-    assert np.linalg.norm(places[0] - places[1]) == pytest.approx(0.002 * 111320 / 2, rel=0.01)
-    assert np.isnan(places[2]).all()
-    assert (2, 0) not in set(neighbours(places, 3)) and (0, 1) in set(neighbours(places, 3))
-
-
 def test_gps_that_photos_lack_cannot_be_asked_for():
     with pytest.raises(InputError, match="only 0 of 5 photos have GPS"):
         choose_pairs(None, [source() for _ in range(5)], "gps", False, Lines())
-
-
-def test_a_sequence_reaches_ahead():
-    assert list(sequence(4, 2)) == [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)]
 
 
 def test_videos_and_unknown_photos_are_compared_by_their_largest_features(monkeypatch):

@@ -214,26 +214,6 @@ def test_options_that_cannot_be_met(tmp_path, healthy, finished, words, naming):
     assert content(finished) == before
 
 
-def test_a_time_budget_too_short(tmp_path, healthy):
-    line = refused("train", healthy, "-o", tmp_path / "run", "-q", "--test-every", "4",
-                   "--time-budget", "0.001", naming=("--time-budget 0.001s", "give at least "))
-    assert ";" in line and not content(tmp_path / "run")
-
-
-@pytest.mark.parametrize("text, naming", [
-    ("speed = 3", ("run.toml", "unknown option 'speed'", "--help")),
-    ("iterations = 'many'", ("run.toml", "iterations", "whole number", "many")),
-    ("iterations = ", ("run.toml", "TOML")),
-    (None, ("run.toml", "cannot be read")),
-])
-def test_configuration(tmp_path, healthy, text, naming):
-    if text is not None:
-        (tmp_path / "run.toml").write_text(text)
-    refused("train", healthy, "-o", tmp_path / "run", "--config", tmp_path / "run.toml",
-            naming=naming)
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.slow
 def test_no_working_device(tmp_path, healthy):
     """The loader is shown an empty folder of drivers."""

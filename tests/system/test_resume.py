@@ -56,12 +56,6 @@ def test_twice_the_same_bytes(float_device, city, tmp_path):
 
 
 @pytest.mark.slow
-def test_another_seed_is_another_run(item_device, city, tmp_path, whole):
-    other = trained(tmp_path / "run", city, item_device, seed=1)
-    assert model_digest(other) != model_digest(whole)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("size", [32, 256])
 def test_group_sizes_do_not_matter(item_device, city, tmp_path, whole, size):
     device = Device(item_device.handle, form="item")

@@ -104,16 +104,6 @@ def test_engines_and_optimizers_learn_alike(item_device, city, tmp_path):
     assert min(scores.values()) > 19.5, scores
 
 
-@pytest.mark.slow
-def test_antialiased(item_device, city, tmp_path):
-    runs = [trained(tmp_path / str(mip), city, item_device, **STILL, iterations=100,
-                    antialiased=mip) for mip in (False, True)]
-    assert psnr_of(runs[1]) > 19.5 and psnr_of(runs[0]) != psnr_of(runs[1])
-    for run, mode in zip(runs, ("default", "mip")):
-        header = (run.path / "point_cloud.ply").read_bytes()[:300]
-        assert f"comment SplatRenderMode: {mode}\n".encode() in header
-
-
 def test_harmonics_stay_at_zero_until_their_degree(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, **STILL, iterations=30, sh_every=20)
     rest = read_ply(run.path / "point_cloud.ply").sh_rest

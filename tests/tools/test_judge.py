@@ -116,33 +116,6 @@ def test_a_column_that_is_not_complete_is_left_out(tmp_path, sets, trainings):
     assert len(trainings.options) == before + 4
 
 
-def test_a_seed_that_a_column_lacks_does_not_move_the_others(tmp_path, sets, trainings):
-    trainings.fails = lambda options: (options["schedule"], options["seed"]) == ("mcmc", 1)
-    with pytest.raises(InputError, match="seed 1 mcmc"):
-        judge.main([str(tmp_path), str(sets), *SMALL])
-    page = (tmp_path / "judge.md").read_text()
-    assert "4 seeds of divisions are left out" in page
-    assert "| sig | 4 | 28.65 |" in page  # (31 + 31.3 + 26 + 26.3) / 4, of the first seed
-
-
-@pytest.mark.slow
-def test_parts_and_calls_are_merged(tmp_path, sets, trainings, monkeypatch):
-    for number in (1, 2):
-        judged(tmp_path, sets, *SMALL, "--part", f"{number}/2")
-    files = sorted(path.name for path in tmp_path.glob("*.jsonl"))
-    assert files == ["results-1-of-2.jsonl", "results-2-of-2.jsonl"]
-    assert len(trainings.options) == 24
-    with (tmp_path / files[0]).open("a") as lines:  # a call was killed while it wrote
-        lines.write('{"key": "x", "psn')
-    _, page = judged(tmp_path, sets, *SMALL)
-    assert len(trainings.options) == 24 and "24 of 24 runs" in page
-    (tmp_path / files[1]).unlink()
-    clock = iter(np.arange(0, 1000, 25.0))
-    monkeypatch.setattr(judge.time, "monotonic", lambda: next(clock))
-    judged(tmp_path, sets, *SMALL, "--minutes", "2")  # a run takes 25 s of this clock
-    assert 24 < len(trainings.options) < 36
-
-
 @pytest.mark.parametrize("words, complaint", [
     (["--with", "sig"], "expects a name, a colon and flags"),
     (["--baseline", "dash"], "is not one of sig, constant, mcmc"),

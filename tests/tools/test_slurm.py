@@ -44,8 +44,3 @@ def test_only_an_interrupted_training_queues_again(tmp_path, block, code, requeu
     done = submitted(tmp_path, 12, f"exit {code}")
     assert done.returncode == code
     assert ("scontrol requeue 77_12" in done.stdout) == requeued
-
-
-def test_a_task_without_a_block(tmp_path, block):
-    done = submitted(tmp_path, 13, "exit 0")
-    assert done.returncode == 2 and "013: no such block" in done.stderr
