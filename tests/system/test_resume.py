@@ -16,8 +16,8 @@ from clsplat.device import Device
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.runs.learned import read_poses
 from clsplat.io.runs.run import RunFolder
-from clsplat.loss import image_loss
 from clsplat.training.loop import resume, train
+from clsplat.training.parts import image_term
 from clsplat.training.step import Step
 from tests.data.tiny_training import (
     CITY,
@@ -203,7 +203,7 @@ def test_a_broken_training_keeps_its_checkpoint(item_device, city, tmp_path, mon
     """A loss that is not finite ends the run and is not saved over the last good state."""
     run = trained(tmp_path / "run", city, item_device, stop_at=20)
     kept = (run.path / "checkpoint.npz").read_bytes()
-    monkeypatch.setattr(image_loss, "loss_value", lambda *arguments: (np.nan, np.nan, np.nan))
+    monkeypatch.setattr(image_term, "loss_value", lambda *_: 3 * (np.nan,))
     with pytest.raises(InputError, match="run: the loss at step 50 is nan; the last checkpoint"):
         resume(city, options_of(checkpoint_every=50), item_device, run)
     assert (run.path / "checkpoint.npz").read_bytes() == kept
