@@ -8,6 +8,7 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # type checkers take it for true; `typing` would take a while to import
 if TYPE_CHECKING:
+    from clsplat.api.city import city as city
     from clsplat.api.device import Device as Device
     from clsplat.api.gaussians import Gaussians as Gaussians
     from clsplat.api.options import TrainOptions as TrainOptions
@@ -44,14 +45,14 @@ _HOMES = {
     "Schedule": "clsplat.schedule.plan", "Score": "clsplat.api.score",
     "StopTraining": "clsplat.errors", "TrainOptions": "clsplat.api.options",
     "Trainer": "clsplat.api.trainer", "TrainingStep": "clsplat.api.trainer",
-    "View": "clsplat.api.scene", "evaluate": "clsplat.api.score",
+    "View": "clsplat.api.scene", "city": "clsplat.api.city", "evaluate": "clsplat.api.score",
     "option": "clsplat.config.option", "plan": "clsplat.api.plan",
     "render": "clsplat.api.renderer", "train": "clsplat.api.train"}
 
 __all__ = ["Camera", "ClsplatError", "Device", "Forecast", "Frame", "Gaussians", "Georeference",
            "Part", "Plan", "Renderer", "Run", "Scene", "Schedule", "Score", "StopTraining",
-           "TrainOptions", "Trainer", "TrainingStep", "View", "evaluate", "option", "plan",
-           "render", "train"]
+           "TrainOptions", "Trainer", "TrainingStep", "View", "city", "evaluate", "option",
+           "plan", "render", "train"]
 
 
 def __getattr__(name: str) -> object:
