@@ -37,7 +37,7 @@ LAYERS = (
     {"report"},
     {"training"},
     {"estimate"},
-    {"city"},
+    {"cities"},
     {"api"},
     {"apps", "bench"},
     {"cli"},
@@ -66,8 +66,8 @@ WALLS = {
     "onnxruntime": ("clsplat/evaluation/lpips.py",),
     "click": ("clsplat/cli/",),
     "skimage": ("clsplat/io/", "clsplat/evaluation/"),
-    "dask": ("clsplat/city/cluster.py",),
-    "distributed": ("clsplat/city/cluster.py",),
+    "dask": ("clsplat/cities/cluster.py",),
+    "distributed": ("clsplat/cities/cluster.py",),
     "matplotlib": ("clsplat/report/", "tools/"),
     "tests": (),  # the wheel carries clsplat/, not the tests
 }
@@ -76,7 +76,7 @@ WALLS = {
 FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None, "clsplat/io/": {
                         "laspy", "lazrs", "pycolmap", "OpenImageIO", "pyproj", "zstandard"},
                     "clsplat/evaluation/": {"OpenImageIO", "onnxruntime"},
-                    "clsplat/city/cluster.py": {"distributed"}}  # an extra, seldom asked for
+                    "clsplat/cities/cluster.py": {"distributed"}}  # an extra, seldom asked for
 
 # what is composed of the options of all rooms: lower rooms may name its type, and no more
 COMPOSED = {"options", "partition"}

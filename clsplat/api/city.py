@@ -10,7 +10,7 @@ from typing import Any
 from clsplat.api.options import TrainOptions, resolved
 from clsplat.api.run import Run
 from clsplat.api.trainer import folder_of
-from clsplat.city import run
+from clsplat.cities import run
 from clsplat.config.option import checked
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene

@@ -35,7 +35,7 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
     Where blocks exchange gaussians (--exchanges of `clsplat partition`), it ends at an exchange for
     which another block has not come far enough; the same command then goes on.
     """
-    from clsplat.city.block import block_options, train_block
+    from clsplat.cities.block import block_options, train_block
     from clsplat.cli.progress import Progress
     from clsplat.io.runs.city import BlockFolder
     city_block = BlockFolder(folder)

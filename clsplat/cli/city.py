@@ -24,7 +24,7 @@ from clsplat.errors import InputError
 from clsplat.partition.options import PartitionOptions
 
 if TYPE_CHECKING:
-    from clsplat.city.run import Finished, Shown
+    from clsplat.cities.run import Finished, Shown
     from clsplat.io.runs.city import CityFolder
 
 BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
@@ -72,7 +72,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int |
     failure, the same command continues. The folder is a run like any other, for `clsplat eval`,
     `render` and `compare`. For several devices, use --device 0,1.
     """
-    from clsplat.city.run import city as train_city
+    from clsplat.cities.run import city as train_city
     from clsplat.io.runs.city import CityFolder
     from clsplat.io.scenes.read import read_scene
     from clsplat.options import resolve
@@ -100,7 +100,7 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
     Needs a finished coarse run in CITY/coarse. Writes partition.json, partition.geojson, the map
     partition.png, and a folder for each block.
     """
-    from clsplat.city.run import cut_city
+    from clsplat.cities.run import cut_city
     from clsplat.io.runs.city import CityFolder
     city = CityFolder(folder)
     click.echo(cut_city(city, given_options(ctx, PartitionOptions), scene))
@@ -128,10 +128,10 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
     That may then be trained as a whole, and is evaluated on the held-out views. If blocks are
     missing, the command lists them and ends with exit code 2.
     """
-    from clsplat.city.finish import reference_file
-    from clsplat.city.run import merge_city
-    from clsplat.city.stages import begin_from_coarse
-    from clsplat.city.workers import Workers
+    from clsplat.cities.finish import reference_file
+    from clsplat.cities.run import merge_city
+    from clsplat.cities.stages import begin_from_coarse
+    from clsplat.cities.workers import Workers
     from clsplat.device import choose_device
     from clsplat.io.runs.city import CityFolder
     from clsplat.io.runs.run import RunFolder
@@ -147,7 +147,7 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
 
 def _shown(quiet: bool, stop_at: int) -> Shown:
     """What prints the stages of a city, and what fails, and unless `quiet` all else."""
-    from clsplat.city.run import Shown
+    from clsplat.cities.run import Shown
     from clsplat.cli.progress import Progress
     from clsplat.training.progress import SilentProgress
 
@@ -167,7 +167,7 @@ def _shown(quiet: bool, stop_at: int) -> Shown:
 
 def _print(folder: CityFolder, finished: Finished, against: Path | None, quiet: bool) -> None:
     """Print what a finished city is."""
-    from clsplat.city.finish import merge_record
+    from clsplat.cities.finish import merge_record
     from clsplat.cli.evaluate import summary
     from clsplat.io.models.tree import TREE
     from clsplat.report.city import seam_table, share_table

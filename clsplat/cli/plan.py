@@ -86,7 +86,7 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, margin: float,
         (known or MeasuredSteps(device.name, device.handle.global_mem_size, forecast.measured)
          ).write(steps_to)
     if counts:
-        from clsplat.city.forecast import scale_table
+        from clsplat.cities.forecast import scale_table
         click.echo("\n" + scale_table(planned, forecast, device, margin, counts,
                                       photo_size, workers, known).text())
 

@@ -62,7 +62,7 @@ def render(ctx: click.Context, /, model: Path, scene: Path | None, output: Path,
         draw = partial(render_view, *opened(choose_device(device), gaussians, data, options))
         render_views(draw, chosen, output, beside)
     else:
-        from clsplat.city.lod import Detail
+        from clsplat.cities.lod import Detail
         detail = Detail(run, data, choose_device(device), lod_bias)
         render_views(detail.draw, chosen, output, beside)
         share = detail.drawn / (len(chosen) * gaussians.count)

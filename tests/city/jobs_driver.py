@@ -11,9 +11,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from clsplat.city import jobs
-from clsplat.city.jobs import Job
-from clsplat.city.workers import Workers
+from clsplat.cities import jobs
+from clsplat.cities.jobs import Job
+from clsplat.cities.workers import Workers
 from clsplat.errors import ClsplatError, InputError, Interrupted, OutOfDeviceMemory
 from clsplat.io.lock import exclusive
 from clsplat.training.interrupt import deferred_interrupt

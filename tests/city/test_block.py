@@ -8,9 +8,9 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial import cKDTree
 
-from clsplat.city.block import decided_by, options_of_blocks
-from clsplat.city.parts import FrozenRows
-from clsplat.city.scene import BlockScene
+from clsplat.cities.block import decided_by, options_of_blocks
+from clsplat.cities.parts import FrozenRows
+from clsplat.cities.scene import BlockScene
 from clsplat.cli.main import main
 from clsplat.densify import round as growth
 from clsplat.gaussians import Gaussians

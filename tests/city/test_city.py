@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clsplat.city import block as block_module
-from clsplat.city import cut, forecast, run, scoring, stages
-from clsplat.city.run import chosen_partition
-from clsplat.city.scene import BlockScene
+from clsplat.cities import block as block_module
+from clsplat.cities import cut, forecast, run, scoring, stages
+from clsplat.cities.run import chosen_partition
+from clsplat.cities.scene import BlockScene
 from clsplat.cli.main import main
 from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.io.models.ply import read_ply

@@ -10,9 +10,9 @@ import numpy as np
 import pycolmap
 import pytest
 
-from clsplat.city.block import options_of_blocks
-from clsplat.city.parts import SampleWeights
-from clsplat.city.scene import BlockScene
+from clsplat.cities.block import options_of_blocks
+from clsplat.cities.parts import SampleWeights
+from clsplat.cities.scene import BlockScene
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference

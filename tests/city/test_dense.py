@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.city import cut, dense
-from clsplat.city.dense import (
+from clsplat.cities import cut, dense
+from clsplat.cities.dense import (
     counted_where,
     dense_gaussians,
     find_dense_gaussians,
     found_beside,
 )
-from clsplat.city.stages import begin
-from clsplat.city.workers import Workers
+from clsplat.cities.stages import begin
+from clsplat.cities.workers import Workers
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from clsplat.city import block as training_block
-from clsplat.city import blocks, cut
-from clsplat.city import exchange as exchange_module
-from clsplat.city.block import block_options, train_block
-from clsplat.city.exchange import (
+from clsplat.cities import block as training_block
+from clsplat.cities import blocks, cut
+from clsplat.cities import exchange as exchange_module
+from clsplat.cities.block import block_options, train_block
+from clsplat.cities.exchange import (
     exchange,
     exchange_steps,
     lacking_blocks,
     most_exchanges,
     other_blocks,
 )
-from clsplat.city.scene import BlockScene
-from clsplat.city.workers import Workers
+from clsplat.cities.scene import BlockScene
+from clsplat.cities.workers import Workers
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.npz import read_npz, write_npz

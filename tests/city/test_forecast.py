@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import clsplat.city.forecast as forecast_module
-import clsplat.city.run as city_module
+import clsplat.cities.forecast as forecast_module
+import clsplat.cities.run as city_module
 from clsplat.camera import Camera
-from clsplat.city.forecast import (
+from clsplat.cities.forecast import (
     PIXELS_PER_GAUSSIAN,
     block_table,
     coarse_steps,
@@ -20,7 +20,7 @@ from clsplat.city.forecast import (
     one_block_note,
     scale_table,
 )
-from clsplat.city.run import chosen_partition
+from clsplat.cities.run import chosen_partition
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.estimate.cost import fitted, predicted_seconds

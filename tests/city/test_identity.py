@@ -5,9 +5,9 @@ import shutil
 import numpy as np
 import pytest
 
-from clsplat.city.exchange import Owned
-from clsplat.city.joint import begin_with, train_jointly
-from clsplat.city.merge import merge
+from clsplat.cities.exchange import Owned
+from clsplat.cities.joint import begin_with, train_jointly
+from clsplat.cities.merge import merge
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians

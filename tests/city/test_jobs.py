@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 import clsplat
-from clsplat.city import cluster
-from clsplat.city.cluster import Cluster
-from clsplat.city.jobs import HERE, Lost
-from clsplat.city.processes import LOG
-from clsplat.city.workers import MOST_LOSSES, Workers
+from clsplat.cities import cluster
+from clsplat.cities.cluster import Cluster
+from clsplat.cities.jobs import HERE, Lost
+from clsplat.cities.processes import LOG
+from clsplat.cities.workers import MOST_LOSSES, Workers
 from clsplat.errors import InputError, Interrupted, OutOfDeviceMemory
 from clsplat.io.lock import exclusive
 from tests.city.jobs_driver import (
@@ -199,7 +199,7 @@ def test_a_crash_or_a_bug_for_good_says_why(tmp_path):
 
 @pytest.mark.slow
 def test_a_worker_that_hangs_ends_itself(tmp_path):
-    code = ("import time; from pathlib import Path; from clsplat.city import jobs\n"
+    code = ("import time; from pathlib import Path; from clsplat.cities import jobs\n"
             "jobs.HANG_SECONDS = 0.2\n"
             f"with jobs.watched(Path({str(tmp_path)!r})):\n    time.sleep(60)")
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)

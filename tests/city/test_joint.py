@@ -10,13 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clsplat.city import finish
-from clsplat.city.cut import JOINT
-from clsplat.city.finish import merged_city
-from clsplat.city.joint import begin_with, joint_options, train_jointly
-from clsplat.city.merge import Merged
-from clsplat.city.run import chosen_partition
-from clsplat.city.stages import train_coarse
+from clsplat.cities import finish
+from clsplat.cities.cut import JOINT
+from clsplat.cities.finish import merged_city
+from clsplat.cities.joint import begin_with, joint_options, train_jointly
+from clsplat.cities.merge import Merged
+from clsplat.cities.run import chosen_partition
+from clsplat.cities.stages import train_coarse
 from clsplat.device import choose_device
 from clsplat.errors import DeviceError, InputError, Interrupted, OutOfDeviceMemory
 from clsplat.evaluation.run import Run

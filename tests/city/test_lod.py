@@ -5,8 +5,8 @@ import pytest
 from click.testing import CliRunner
 
 from clsplat.camera import Camera
-from clsplat.city import lod
-from clsplat.city.lod import Levels, merge_levels
+from clsplat.cities import lod
+from clsplat.cities.lod import Levels, merge_levels
 from clsplat.cli.main import main
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.models.ply import read_ply

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from clsplat.city import lod
-from clsplat.city.lod import Levels
+from clsplat.cities import lod
+from clsplat.cities.lod import Levels
 from clsplat.cli.main import main
 from clsplat.evaluation.run import Run, to_render
 from clsplat.evaluation.views import opened, photo_of, render_view

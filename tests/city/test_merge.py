@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clsplat.city.finish import merged_city
-from clsplat.city.merge import joined, merge
+from clsplat.cities.finish import merged_city
+from clsplat.cities.merge import joined, merge
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.models.ply import read_ply, write_ply
@@ -259,7 +259,7 @@ def test_levels_of_detail_that_cannot_be_written_are_told_at_the_end(city, scene
     def fails(*_):
         raise InputError("lod: no space left")
 
-    monkeypatch.setattr("clsplat.city.finish.merge_levels", fails)
+    monkeypatch.setattr("clsplat.cities.finish.merge_levels", fails)
     device, has_model = SimpleNamespace(name="none", form="item"), []
     with pytest.raises(InputError, match="no space left"), merged_city(
             city, scene, resolve({}, {}), device):

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.city.merge import cropped, joined
-from clsplat.city.seams import (
+from clsplat.cities.merge import cropped, joined
+from clsplat.cities.seams import (
     LEAST_PIXELS,
     Strips,
     _scores,

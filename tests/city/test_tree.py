@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.city.tree import parted
+from clsplat.cities.tree import parted
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL

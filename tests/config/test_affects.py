@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from clsplat.city import stages
-from clsplat.city.block import _check_same
+from clsplat.cities import stages
+from clsplat.cities.block import _check_same
 from clsplat.cli import campaign
 from clsplat.cli.train import resumed_options
 from clsplat.config.option import differences, plain

@@ -1,6 +1,6 @@
 """Trees of models that no city has."""
 
-from clsplat.city.tree import CELL, TreeBuilder
+from clsplat.cities.tree import CELL, TreeBuilder
 from clsplat.io.models.tree import writing_tree
 
 

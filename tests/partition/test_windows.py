@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.city.cut import visits_of_blocks
+from clsplat.cities.cut import visits_of_blocks
 from clsplat.gaussians import Gaussians
 from clsplat.partition.windows import of_few_sizes, owned_shares
 from clsplat.scene import View

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from clsplat.city.tree import facts_of
+from clsplat.cities.tree import facts_of
 from clsplat.edit.select import selected
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.tree import ORDER, Tree, writing_tree

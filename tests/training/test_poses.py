@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from clsplat.city.stages import begin
+from clsplat.cities.stages import begin
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.runs.city import CityFolder

@@ -64,10 +64,10 @@ def nothing(_: Any) -> Callable[..., None]:
 
 # mechanism -> (module, name, what makes the substitute of the function there)
 PATCHES: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
-    "dense": ("clsplat.city.cut", "filled", without_dense),
-    "visits": ("clsplat.city.cut", "visits_of_blocks", equal_visits),
+    "dense": ("clsplat.cities.cut", "filled", without_dense),
+    "visits": ("clsplat.cities.cut", "visits_of_blocks", equal_visits),
     "thinning": ("clsplat.partition.blocks", "largest_sizes", unthinned),
-    "levels": ("clsplat.city.finish", "write_levels", nothing),
+    "levels": ("clsplat.cities.finish", "write_levels", nothing),
 }
 # mechanism -> flags; those that are of use with a joint training alone, or without one alone
 FLAGS = {"none": (), "sharing": ("--workers", "1"),

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clsplat.city.lod import Detail
+from clsplat.cities.lod import Detail
 from clsplat.device import choose_device
 from clsplat.errors import InputError
 from clsplat.evaluation.metrics import psnr
@@ -39,7 +39,7 @@ def main(argv):
     made.add_argument("--scene", type=Path, help="where the scene is, if it was moved")
     made.add_argument("-r", "--downscale", type=float, default=1.0)
     made.add_argument("--away", type=float, default=0.0)
-    made.add_argument("--bias", type=float, default=1.0, help="see `clsplat.city.lod.Detail`")
+    made.add_argument("--bias", type=float, default=1.0, help="see `clsplat.cities.lod.Detail`")
     made.add_argument("--tree", action="store_true")
     made.add_argument("--device", default="auto")
     given = made.parse_args(argv)

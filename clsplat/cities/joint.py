@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from clsplat.city.cut import JOINT
-from clsplat.city.dense import dense_gaussians
-from clsplat.city.merge import Merged
-from clsplat.city.parts import Stage
+from clsplat.cities.cut import JOINT
+from clsplat.cities.dense import dense_gaussians
+from clsplat.cities.merge import Merged
+from clsplat.cities.parts import Stage
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians

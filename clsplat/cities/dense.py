@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from clsplat.city.jobs import Job, never
-from clsplat.city.stages import begin_from_coarse
-from clsplat.city.workers import Workers
+from clsplat.cities.jobs import Job, never
+from clsplat.cities.stages import begin_from_coarse
+from clsplat.cities.workers import Workers
 from clsplat.device import Device
 from clsplat.gaussians import Gaussians
 from clsplat.io.folders import make_folder

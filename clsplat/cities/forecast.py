@@ -5,8 +5,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from clsplat.city.block import block_options
-from clsplat.city.scene import BlockScene
+from clsplat.cities.block import block_options
+from clsplat.cities.scene import BlockScene
 from clsplat.device import Device
 from clsplat.estimate.cost import fitted, pixels
 from clsplat.estimate.forecast import MIB, Forecast, Planned

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from clsplat.city.parts import FrozenRows, SampleWeights
+from clsplat.cities.parts import FrozenRows, SampleWeights
 from clsplat.io.runs.city import BlockFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions

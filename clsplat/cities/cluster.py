@@ -16,7 +16,7 @@ from contextlib import suppress
 from typing import Any
 
 import clsplat
-from clsplat.city.jobs import Job, Lost, Unfit, device_here, line_of, watched
+from clsplat.cities.jobs import Job, Lost, Unfit, device_here, line_of, watched
 from clsplat.errors import DeviceError, InputError
 
 CONNECT_SECONDS, POLL_SECONDS = 10, 2.0

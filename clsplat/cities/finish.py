@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from clsplat.city.cut import draw
-from clsplat.city.joint import train_jointly
-from clsplat.city.lod import merge_levels
-from clsplat.city.merge import Merged, merge
-from clsplat.city.scoring import reference_model, score_in_shares, views_of
-from clsplat.city.seams import find_seams
-from clsplat.city.stages import COARSE_FACTOR
-from clsplat.city.tree import merge_tree
-from clsplat.city.workers import Workers
+from clsplat.cities.cut import draw
+from clsplat.cities.joint import train_jointly
+from clsplat.cities.lod import merge_levels
+from clsplat.cities.merge import Merged, merge
+from clsplat.cities.scoring import reference_model, score_in_shares, views_of
+from clsplat.cities.seams import find_seams
+from clsplat.cities.stages import COARSE_FACTOR
+from clsplat.cities.tree import merge_tree
+from clsplat.cities.workers import Workers
 from clsplat.device import Device
 from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.evaluation.run import Run

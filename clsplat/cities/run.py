@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from clsplat.city.blocks import reason_of, train_blocks
-from clsplat.city.cluster import connected
-from clsplat.city.cut import cut_into_blocks, draw, requested_of
-from clsplat.city.dense import find_dense_gaussians, found_beside
-from clsplat.city.finish import evaluate_city, merge_city_tree, merged_city, reference_file
-from clsplat.city.forecast import (
+from clsplat.cities.blocks import reason_of, train_blocks
+from clsplat.cities.cluster import connected
+from clsplat.cities.cut import cut_into_blocks, draw, requested_of
+from clsplat.cities.dense import find_dense_gaussians, found_beside
+from clsplat.cities.finish import evaluate_city, merge_city_tree, merged_city, reference_file
+from clsplat.cities.forecast import (
     block_table,
     expected_gaussians,
     facts_of_whole,
@@ -25,9 +25,9 @@ from clsplat.city.forecast import (
     one_block_note,
     trains_jointly,
 )
-from clsplat.city.merge import Merged
-from clsplat.city.stages import begin, begin_from_coarse, train_coarse
-from clsplat.city.workers import Outcome, Workers
+from clsplat.cities.merge import Merged
+from clsplat.cities.stages import begin, begin_from_coarse, train_coarse
+from clsplat.cities.workers import Outcome, Workers
 from clsplat.config.option import is_auto
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clsplat.city.jobs import Job, never
-from clsplat.city.seams import Strips, inspect_views
-from clsplat.city.workers import Workers
+from clsplat.cities.jobs import Job, never
+from clsplat.cities.seams import Strips, inspect_views
+from clsplat.cities.workers import Workers
 from clsplat.device import Device
 from clsplat.errors import Interrupted
 from clsplat.evaluation.held_out_responses import predicted_responses

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from clsplat.city.exchange import exchange, lacking_blocks, other_blocks, write_owned
-from clsplat.city.jobs import Job, never
-from clsplat.city.scene import BlockScene
+from clsplat.cities.exchange import exchange, lacking_blocks, other_blocks, write_owned
+from clsplat.cities.jobs import Job, never
+from clsplat.cities.scene import BlockScene
 from clsplat.config.option import differences
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted, StopTraining

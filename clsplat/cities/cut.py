@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.city.block import decided_by, options_of_blocks
-from clsplat.city.dense import counted_where, dense_gaussians
-from clsplat.city.exchange import exchange_steps, most_exchanges
-from clsplat.city.visibility import DropTest
+from clsplat.cities.block import decided_by, options_of_blocks
+from clsplat.cities.dense import counted_where, dense_gaussians
+from clsplat.cities.exchange import exchange_steps, most_exchanges
+from clsplat.cities.visibility import DropTest
 from clsplat.config.option import differences, plain
 from clsplat.device import Device
 from clsplat.errors import InputError

@@ -17,7 +17,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from typing import Any
 
-from clsplat.city.jobs import GRACE_SECONDS, HERE, Job, device_here, line_of, watched
+from clsplat.cities.jobs import GRACE_SECONDS, HERE, Job, device_here, line_of, watched
 from clsplat.errors import ClsplatError, Interrupted
 from clsplat.training.interrupt import handled_interrupts, was_interrupted
 

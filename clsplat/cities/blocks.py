@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
-from clsplat.city.block import BlockJob
-from clsplat.city.workers import Outcome, Workers
+from clsplat.cities.block import BlockJob
+from clsplat.cities.workers import Outcome, Workers
 from clsplat.device import Device
 from clsplat.errors import OutOfDeviceMemory
 from clsplat.io.runs.city import DENSE, BlockFolder, CityFolder

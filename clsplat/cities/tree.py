@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.city.lod import CELL_GAUSSIANS, TAIL_SHARE, frequency
-from clsplat.city.merge import Merged, merge
+from clsplat.cities.lod import CELL_GAUSSIANS, TAIL_SHARE, frequency
+from clsplat.cities.merge import Merged, merge
 from clsplat.edit.decimate import decimated
 from clsplat.edit.select import merged, selected
 from clsplat.gaussians import Gaussians

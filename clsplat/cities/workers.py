@@ -14,9 +14,9 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from clsplat.city.cluster import Cluster
-from clsplat.city.jobs import HERE, Job, Lost, Unfit
-from clsplat.city.processes import InProcess, Processes
+from clsplat.cities.cluster import Cluster
+from clsplat.cities.jobs import HERE, Job, Lost, Unfit
+from clsplat.cities.processes import InProcess, Processes
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.io.folders import make_folder
 from clsplat.io.lock import LockTaken

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from clsplat.camera import Camera
-from clsplat.city.merge import READ_TOGETHER, cropped, joined
+from clsplat.cities.merge import READ_TOGETHER, cropped, joined
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
