@@ -79,7 +79,7 @@ FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None, "clsplat/
                     "clsplat/cities/cluster.py": {"distributed"}}  # an extra, seldom asked for
 
 # what is composed of the options of all rooms: lower rooms may name its type, and no more
-COMPOSED = {"options", "partition"}
+COMPOSED = {"options"}
 
 # what a training consists of is put together in one place, for estimates and benchmarks too
 SESSION, BUILT_BY_A_SESSION = "clsplat/training/session.py", {"Step"}
