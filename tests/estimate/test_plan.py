@@ -311,7 +311,7 @@ def test_the_command_says_it_all(monkeypatch, item_device):
     assert result.stderr.startswith("reading the scene\nplanning: inspecting the photos\n")
     assert result.stdout.startswith("city: 28 photos to train on, 4 held out, 4,400 points; ")
     assert " ".join(line[0] for line in lines[1:]) == (
-        "steps init levels gaussians sh antialiased exposure vignetting robust reproject "
+        "steps init levels gaussians sh antialiased exposure vignetting reproject robust "
         "engine photos memory time")
     assert "exposure      off: requested\n" in result.output
     assert "sh degree     3: 99% of the points are seen from within 7" in result.output
