@@ -118,8 +118,7 @@ def _image(folder):
 
 def _made_transforms(folder):
     scene = read_scene(write_scene(folder / "made"))
-    whole, angled, parted, exported = (
-        folder / kind for kind in ("whole", "angled", "parted", "exported"))
+    whole, angled, parted = (folder / kind for kind in ("whole", "angled", "parted"))
     for seed in (whole, angled, parted):
         table = layouts.write_transforms(seed, scene)
     (angled / "sparse_pc.ply").unlink()  # points are drawn, and suffixes tried
@@ -128,8 +127,7 @@ def _made_transforms(folder):
     for number, part in enumerate(("train", "test")):
         layouts.write_json(parted / f"transforms_{part}.json", {
             **table, "frames": table["frames"][number::2]})
-    layouts.write_export(exported, scene)
-    return whole, angled, parted, exported
+    return whole, angled, parted
 
 
 def _made_checkpoints(folder):
