@@ -12,7 +12,7 @@
 // are too many comes in bands of tiles.
 //
 // A build has the arrays of its choices alone. WITH_RESPONSE adds `exposed`: real[3, H, W], the
-// response of a camera to the image; a backdrop takes the background's place (both: respond.h).
+// response of a camera to the image (respond.h).
 // WITH_DEPTH adds the channel sum_i alpha_i T_i z_i, and to the adjoint the gradients by it and by
 // the final transmittance, so that a loss may read their ratio. DEPTH_PERCENT makes it z_i of the
 // splat that takes T to so many per cent, or of the last one that is blended before that; without
@@ -45,7 +45,7 @@ IF_RESPONSE(DEFINE_RESPONSE(, vreal))
         __global const real *restrict splats FEATURES_ARGUMENT, __global real *restrict image,     \
         __global real *restrict transmittance,                                                     \
         __global int *restrict last_contributor DEPTH_ARGUMENT(depth) RESPONSE_ARGUMENTS           \
-            BACKDROP_ARGUMENT EXPOSED_ARGUMENT
+            EXPOSED_ARGUMENT
 #define BLEND_ADJOINT_ARGUMENTS                                                                    \
     int width, int height, int first_tile, __global const uint *restrict ranges,                   \
         __global const uint *restrict sorted_splats,                                               \

@@ -15,28 +15,27 @@
 
 // The adjoint at one pixel or at 16 neighbours, from `pixel` on: the gradient by the image, and the
 // shares in the sums.
-#define DEFINE_PIXELS(SUFFIX, TYPE, LOAD, STORE, BYTES)                                            \
+#define DEFINE_PIXELS(SUFFIX, TYPE, LOAD, STORE)                                                   \
     DEFINE_RESPONSE(SUFFIX, TYPE)                                                                  \
     INLINE void pixels##SUFFIX(ulong plane, ulong pixel, const Response *response, TYPE u,         \
                                __global const real *image, __global const real *grad,              \
-                               __global real *grad_image, TYPE *sums BACKDROP_ARGUMENT)            \
+                               __global real *grad_image, TYPE *sums)                              \
     {                                                                                              \
-        TYPE colour[3], by[3], front[4];                                                           \
-        LOAD_FRONT(front, pixel, BYTES);                                                           \
+        TYPE colour[3], by[3];                                                                     \
         for (int k = 0; k < 3; k++) {                                                              \
             colour[k] = LOAD(0, image + k * plane + pixel);                                        \
             by[k] = LOAD(0, grad + k * plane + pixel);                                             \
         }                                                                                          \
-        respond_adjoint##SUFFIX(response, u, front, colour, by, sums);                             \
+        respond_adjoint##SUFFIX(response, u, colour, by, sums);                                    \
         for (int k = 0; k < 3; k++)                                                                \
             STORE(by[k], 0, grad_image + k * plane + pixel);                                       \
     }
-DEFINE_PIXELS(1, real, LOAD_ONE, STORE_ONE, ONE_BYTE)
+DEFINE_PIXELS(1, real, LOAD_ONE, STORE_ONE)
 #define RADIUS_OF_ONE(P) RADIUS(1, response, (P) % width + (real)0.5, (P) / width + (real)0.5)
 
 #define EXPOSURE_ADJOINT_ARGUMENTS                                                                 \
     uint pixels, uint width, uint blocks RESPONSE_ARGUMENTS, __global const real *restrict image,  \
-        __global const real *restrict grad BACKDROP_ARGUMENT, __global real *restrict grad_image,  \
+        __global const real *restrict grad, __global real *restrict grad_image,                    \
         __global real *restrict partials
 #if FORM_ITEM
 #include "item/exposure.cl"

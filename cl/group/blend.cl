@@ -62,7 +62,7 @@ inline real with_depth(real z, real depth, real w, real t)
 #define NOTHING(C) 0
 #define IMAGE(C) image[(C)*plane + pixel]
 #define GRAD_IMAGE(C) grad_image[(C)*plane + pixel]
-#define BEHIND_HERE(C) BEHIND(C, pixel, ONE_BYTE)
+#define BACKGROUND(C) background[C]
 #define STORE_IMAGE(C, VALUE) IMAGE(C) = VALUE
 #define SET_SEEN(C, VALUE) seen[C] = VALUE
 
@@ -150,17 +150,15 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
     if (inside) {
         const long plane = (long)width * height, pixel = (long)row * width + column;
         Colour behind;
-        LOAD_COLOUR(behind, BEHIND_HERE);
+        LOAD_COLOUR(behind, BACKGROUND);
         c = scaled_sum(c, t, behind);
         EACH_COMPONENT(STORE_IMAGE, c);
         IF_RESPONSE(
             Response response;
             LOAD_RESPONSE(response);
             real seen[3];
-            real front[4];
             EACH_COMPONENT(SET_SEEN, c);
-            LOAD_FRONT(front, pixel, ONE_BYTE);
-            respond(&response, RADIUS(, response, x, y), front, seen);
+            respond(&response, RADIUS(, response, x, y), seen);
             EACH_CHANNEL(exposed[channel * plane + pixel] = seen[channel];))
         transmittance[pixel] = t;
         last_contributor[pixel] = latest;

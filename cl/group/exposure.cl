@@ -17,7 +17,7 @@ void exposure_adjoint(EXPOSURE_ADJOINT_ARGUMENTS)
     }
     FOR_LANES(i, own, min((ulong)EXPOSURE_BLOCK, pixels - begin)) {
         pixels1(pixels, begin + i, &response, RADIUS_OF_ONE(begin + i), image, grad, grad_image,
-                sums[own] BACKDROP_VALUE);
+                sums[own]);
     }
     for (int k = 0; k < RESPONSE_TERMS; k++) {
         for (uint own = 0; own < GROUP_LANES; own++)

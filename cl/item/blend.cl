@@ -27,17 +27,6 @@ inline real16 load_row(__global const real *row, int columns)
     return vload16(0, values);
 }
 
-inline real16 load_bytes(__global const uchar *row, int columns)
-{
-    if (columns >= TILE)
-        return SIXTEEN_BYTES(row);
-    real values[16];
-    for (int i = 0; i < 16; i++)
-        values[i] = i < columns ? ONE_BYTE(row + i) : 0;
-    return vload16(0, values);
-}
-#define LOAD_BYTES(P) load_bytes(P, columns)
-
 inline void store_indices(int16 value, __global int *row, int columns)
 {
     if (columns >= TILE) {
@@ -178,12 +167,10 @@ void blend(BLEND_ARGUMENTS)
         const real16 rest = fabs(t_of[r]);
         real16 colour[CHANNELS];
         EACH_CHANNEL(
-            colour[channel] = colour_of[channel][r] + rest * BEHIND(channel, pixel, LOAD_BYTES);
+            colour[channel] = colour_of[channel][r] + rest * background[channel];
             store_row(colour[channel], image + channel * plane + pixel, columns);)
         IF_RESPONSE(
-            real16 front[4];
-            LOAD_FRONT(front, pixel, LOAD_BYTES);
-            respond(&response, RADIUS(, response, x, (real16)(y0 + r + 0.5)), front, colour);
+            respond(&response, RADIUS(, response, x, (real16)(y0 + r + 0.5)), colour);
             EACH_CHANNEL(store_row(colour[channel], exposed + channel * plane + pixel, columns);))
         store_row(rest, transmittance + pixel, columns);
         IF_DEPTH(store_row(z_of[r], depth + pixel, columns);)
@@ -209,8 +196,7 @@ inline void reached_rows(__global const real *splat, real first_y, int *begin, i
 #define LIGHT(C) grad[C][r] * colours[C] // of a splat, weighted by the gradient
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
-                   __global const real *restrict background BACKDROP_ARGUMENT)
+void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const real *restrict background)
 {
     const int tile = get_global_id(0), place = first_tile + tile, tiles_x = TILES_X;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
@@ -235,7 +221,7 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
         const long pixel = (long)(y0 + r) * width + x0;
         t[r] = load_row(transmittance + pixel, columns);
         EACH_CHANNEL(grad[channel][r] = load_row(grad_image + channel * plane + pixel, columns);)
-#define BACKGROUND_LIGHT(C) grad[C][r] * BEHIND(C, pixel, LOAD_BYTES)
+#define BACKGROUND_LIGHT(C) grad[C][r] * background[C]
         ADD_CHANNELS(behind[r], BACKGROUND_LIGHT);
         IF_DEPTH(
             grad_z[r] = load_row(grad_depth + pixel, columns);

@@ -1,5 +1,5 @@
 // Item form of exposure.cl (see there): a work-item walks blocks, 16 pixels at a time.
-DEFINE_PIXELS(16, real16, vload16, vstore16, SIXTEEN_BYTES)
+DEFINE_PIXELS(16, real16, vload16, vstore16)
 
 __kernel void exposure_adjoint(EXPOSURE_ADJOINT_ARGUMENTS)
 {
@@ -16,11 +16,10 @@ __kernel void exposure_adjoint(EXPOSURE_ADJOINT_ARGUMENTS)
             const real16 along = IOTA + (p % width + (real)0.5), rows = floor(along / (real)width);
             const real16 u = RADIUS(16, response, along - rows * (real)width,
                                     rows + (p / width + (real)0.5));
-            pixels16(pixels, p, &response, u, image, grad, grad_image, wide BACKDROP_VALUE);
+            pixels16(pixels, p, &response, u, image, grad, grad_image, wide);
         }
         for (; p < end; p++)
-            pixels1(pixels, p, &response, RADIUS_OF_ONE(p), image, grad, grad_image,
-                    rest BACKDROP_VALUE);
+            pixels1(pixels, p, &response, RADIUS_OF_ONE(p), image, grad, grad_image, rest);
         for (int k = 0; k < RESPONSE_TERMS; k++)
             partials[block * RESPONSE_TERMS + k] = sum16(wide[k]) + rest[k];
     }

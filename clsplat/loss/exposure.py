@@ -16,13 +16,10 @@ from clsplat.constants import (
 )
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
 from clsplat.rendering.blend import (
-    BACK_PLANES,
-    BACKDROP,
     RESPONSE,
     Defines,
     Exposure,
     Vignetting,
-    backdrop_defines,
 )
 from clsplat.response import Lenses, Response
 
@@ -37,7 +34,7 @@ _LENSES = dict(lens_of=("uint", "V"), lenses=("real", "L", VIGNETTING_REALS))
 ADJOINT = Kernel(
     "exposure.cl", "exposure_adjoint",
     Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), pixels="uint", width="uint",
-    blocks="uint", **RESPONSE, image=_IMAGE, grad=_IMAGE, backdrop=BACKDROP, grad_image=_IMAGE,
+    blocks="uint", **RESPONSE, image=_IMAGE, grad=_IMAGE, grad_image=_IMAGE,
     partials=("real", "P", "S"))
 STEP = Kernel("exposure.cl", "exposure_step", groups("1", "16"), view="uint", rate="real",
               pull="real", counts=("uint", FRAME_COUNTS), partials=("real", "P", "S"),
@@ -107,15 +104,13 @@ class Exposures:
                         Vignetting(camera, self.lens_of, self.lenses)
                         if self.has_vignetting else None)
 
-    def adjoint(self, view: int, camera: Array, image: Array, grad: Array,
-                backdrop: Array | None = None) -> tuple[Array, Array]:
+    def adjoint(self, view: int, camera: Array, image: Array, grad: Array) -> tuple[Array, Array]:
         """Gradients from those by the photo that the response makes of an image.
 
         Parameters
         ----------
         view, camera : as for `of`.
         image, grad : real[3, H, W].
-        backdrop : uchar[3 or 7, H, W], as for `rendering.blend.blend`.
 
         Returns
         -------
@@ -126,12 +121,10 @@ class Exposures:
         blocks = -(-width * height // EXPOSURE_BLOCK)
         partials = device.empty((blocks, _sums(self.has_vignetting)))
         grad_image = device.empty(image.shape)
-        front = backdrop if backdrop is not None and len(backdrop) > BACK_PLANES else None
-        device.launch(ADJOINT, (("WITH_RESPONSE", 1), *self._defines, *backdrop_defines(front)),
-                      pixels=width * height, width=width, blocks=blocks, view=view,
-                      transforms=self.transforms, camera=camera, lens_of=self.lens_of,
-                      lenses=self.lenses, image=image, grad=grad, backdrop=front,
-                      grad_image=grad_image, partials=partials)
+        device.launch(ADJOINT, (("WITH_RESPONSE", 1), *self._defines), pixels=width * height,
+                      width=width, blocks=blocks, view=view, transforms=self.transforms,
+                      camera=camera, lens_of=self.lens_of, lenses=self.lenses, image=image,
+                      grad=grad, grad_image=grad_image, partials=partials)
         return grad_image, partials
 
     @property

@@ -16,11 +16,8 @@ from clsplat.constants import (
 from clsplat.device import Array, Device, Forms, Kernel, Only, groups, items
 from clsplat.rendering.bin import Pairs
 
-BACK_PLANES, FRONT_AND_BACK_PLANES = 3, 7  # of a backdrop (cl/include/respond.h)
 MOST_CHANNELS = 16  # as local memory and the lanes of the group form's adjoint allow
 Defines = tuple[tuple[str, int], ...]  # names and values of the build-time choices of a kernel
-
-READS_BACKGROUND = Forms(item=True, group=False)  # the adjoint; in the group form the image tells
 
 _SIZE: dict[str, Any] = dict(width="int", height="int", first_tile="int")
 _LISTS: dict[str, Any] = dict(ranges=("uint", "T", 2), sorted_splats=("uint", "P"))
@@ -30,7 +27,6 @@ _SPLATS: dict[str, Any] = dict(
 _ENDS: dict[str, Any] = dict(transmittance=("real", "H", "W"), last_contributor=("int", "H", "W"))
 _IMAGE: dict[str, Any] = dict(image=("real", "C", "H", "W"))
 _BACKGROUND: dict[str, Any] = dict(background=("real", "C"))
-BACKDROP = Only("BACKDROP_PLANES", ("uchar", "Q", "H", "W"))
 _DEPTH, _DEPTHS = (Only("WITH_DEPTH", ("real", *shape)) for shape in (("H", "W"), ("B", "X")))
 # the response of a view: of kernels that include respond.h
 RESPONSE: dict[str, Any] = dict(
@@ -46,10 +42,10 @@ BLEND = Kernel(
           group=groups("T", "TILE TILE", bucket_offsets=("uint", "T"),
                        checkpoints=("real", "B", "X", "K"), depth_checkpoints=_DEPTHS)),
     **_SIZE, **_BACKGROUND, **_LISTS, **_SPLATS, **_IMAGE, **_ENDS, depth=_DEPTH, **RESPONSE,
-    backdrop=BACKDROP, exposed=Only("WITH_RESPONSE", ("real", 3, "H", "W")))
+    exposed=Only("WITH_RESPONSE", ("real", 3, "H", "W")))
 ADJOINT = Kernel(
     "blend.cl", "blend_adjoint",
-    Forms(item=items("T", **_BACKGROUND, backdrop=BACKDROP),
+    Forms(item=items("T", **_BACKGROUND),
           group=groups("B", "ADJOINT_GROUP", counts=("uint", FRAME_COUNTS),
                        bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"), **_IMAGE,
                        checkpoints=("real", "B", "X", "K"), depth=_DEPTH,
@@ -163,11 +159,6 @@ def blend_defines(with_depth: bool, smooth_cutoff: bool = False, depth_percent: 
             ("DEPTH_PERCENT", depth_percent if with_depth else 0))
 
 
-def backdrop_defines(backdrop: Array | None) -> Defines:
-    """The build-time choice that follows from a backdrop uchar[3 or 7, H, W]."""
-    return ("BACKDROP_PLANES", 0 if backdrop is None else len(backdrop)),
-
-
 def feature_defines(features: Features | None) -> Defines:
     """The build-time choices that follow from features; none without."""
     if features is None:
@@ -177,7 +168,7 @@ def feature_defines(features: Features | None) -> Defines:
 
 def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, background: Array,
           defines: Defines, result: Blended | None = None, exposure: Exposure | None = None,
-          backdrop: Array | None = None, features: Features | None = None) -> Blended:
+          features: Features | None = None) -> Blended:
     """Blend splats over a background.
 
     Parameters
@@ -190,9 +181,7 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
     defines : of `blend_defines`.
     result : that of the bands before, to which the tiles of this one are added; None: a new one.
     exposure : a response that is applied as well, the same for all bands.
-    backdrop : uchar[3 or 7, H, W], what lies behind, in place of `background`, and in front, which
-        only `exposed` shows (cl/include/respond.h); None: nothing.
-    features : blended in place of the colours; without an exposure and a backdrop.
+    features : blended in place of the colours; without an exposure.
     """
     with_depth, channels = dict(defines)["WITH_DEPTH"], len(background)
     if result is None:
@@ -208,7 +197,7 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
         states = len(pairs.bucket_tiles), device.tile**2
         result.checkpoints = device.empty((*states, channels + 1))
         result.depth_checkpoints = device.empty(states) if with_depth else None
-    device.launch(BLEND, (*defines, *backdrop_defines(backdrop), *feature_defines(features),
+    device.launch(BLEND, (*defines, *feature_defines(features),
                           ("WITH_RESPONSE", int(exposure is not None)),
                           ("WITH_VIGNETTING", int(vignetting is not None))),
                   width=width, height=height, first_tile=pairs.tiles.start,
@@ -216,7 +205,7 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
                   splats=splats, **_of_features(features), image=result.image,
                   transmittance=result.transmittance, last_contributor=result.last_contributor,
                   depth=result.depth_channel, view=view, transforms=transforms, camera=camera,
-                  lens_of=lens_of, lenses=lenses, backdrop=backdrop, exposed=result.exposed,
+                  lens_of=lens_of, lenses=lenses, exposed=result.exposed,
                   bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,
                   depth_checkpoints=result.depth_checkpoints)
     return result
@@ -224,13 +213,13 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
 
 def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended, background: Array,
                   grad_image: Array, grad_depth: Array | None, grad_transmittance: Array | None,
-                  defines: Defines, earlier: Array | None = None, backdrop: Array | None = None,
+                  defines: Defines, earlier: Array | None = None,
                   features: Features | None = None) -> SplatGrads:
     """Gradients by splat from gradients by what `blend` made.
 
     Parameters
     ----------
-    device, splats, pairs, background, defines, backdrop, features : as they were for `blend`.
+    device, splats, pairs, background, defines, features : as they were for `blend`.
     blended : what `blend` returned.
     grad_image : of the shape of the image.
     grad_depth, grad_transmittance : real[H, W]; None without the depth channel.
@@ -239,10 +228,9 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
     channels, height, width = blended.image.shape
     with_depth = dict(defines)["WITH_DEPTH"]
     pair_grads = device.empty((pairs.count, pair_columns(channels, bool(with_depth))))
-    behind = backdrop_defines(backdrop) if READS_BACKGROUND.of(device) else ()
-    device.launch(ADJOINT, (*defines, *behind, *feature_defines(features)), width=width,
+    device.launch(ADJOINT, (*defines, *feature_defines(features)), width=width,
                   height=height, first_tile=pairs.tiles.start, background=background,
-                  backdrop=backdrop, ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
+                  ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
                   emission_indices=pairs.emission_indices, splats=splats,
                   **_of_features(features), image=blended.image,
                   transmittance=blended.transmittance, depth=blended.depth_channel,

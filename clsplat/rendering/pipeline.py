@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from clsplat.constants import TRANSFORM_REALS
 from clsplat.device import Array, Device
 from clsplat.errors import ShapeError
 from clsplat.primitives.compact import compact, new_counts
@@ -77,7 +76,6 @@ class Frame:
         pairs.
     blended : the image, and its depth and transmittance.
     with_depth : whether there is a depth channel.
-    backdrop : uchar[3 or 7, H, W], what was blended with as well; None: nothing.
     features : what was blended in place of the colours; None: the colours were.
     """
 
@@ -92,7 +90,6 @@ class Frame:
     room: Room | None
     blended: Blended
     with_depth: bool
-    backdrop: Array | None = None
     features: Features | None = None
 
     @property
@@ -102,8 +99,7 @@ class Frame:
 
     @property
     def exposed(self) -> Array:
-        """real[3, H, W], the image with a colour transform and behind what is in
-        front of it, where these were given."""
+        """real[3, H, W], the image with a response where one was given."""
         return self.image if self.blended.exposed is None else self.blended.exposed
 
     @property
@@ -170,8 +166,7 @@ class Renderer:
 
     def render(self, rows: Rows, camera: Array, width: int, height: int, sh_degree: int,
                with_depth: bool = False, room: Room | None = None, counts: Array | None = None,
-               exposure: Exposure | None = None, backdrop: Array | None = None,
-               features: Array | None = None) -> Frame:
+               exposure: Exposure | None = None, features: Array | None = None) -> Frame:
         """Render gaussians from a camera.
 
         Parameters
@@ -185,21 +180,18 @@ class Renderer:
             they are too small fails (cl/include/counts.h). None: exact sizes; waits twice.
         counts : uint[FRAME_COUNTS], for a frame with a room; its sums and its failure go on.
         exposure : a response, with which the frame also is `exposed`.
-        backdrop : uchar[3 or 7, H, W], what lies behind and in front (`blend`); None: nothing.
         features : real[N, C], blended over zeros in place of the colours, so that the image is
-            real[C, H, W]; C is 1 to MOST_CHANNELS. Without an exposure and a backdrop.
+            real[C, H, W]; C is 1 to MOST_CHANNELS. Without an exposure.
         """
         device = self.device
         counts = new_counts(device) if counts is None else counts
         if features is not None:
-            if exposure is not None or backdrop is not None:
-                raise ValueError("features have neither an exposure nor a backdrop")
+            if exposure is not None:
+                raise ValueError("features have no exposure")
             if not 1 <= features.shape[1] <= MOST_CHANNELS:
                 raise ShapeError(f"features have 1 to {MOST_CHANNELS} channels, not "
                                  f"{features.shape[1]}")
             sh_degree = 0  # colours are not drawn
-        if backdrop is not None and exposure is None:  # what is in front shows where it is exposed
-            exposure = Exposure(device.upload(np.eye(3, 4).reshape(1, TRANSFORM_REALS)), 0)
         visible = self._visible(rows, camera, counts, room)
         splats, depth_keys = project(device, rows, visible, counts, camera, sh_degree,
                                      self._project_defines)
@@ -219,10 +211,10 @@ class Renderer:
                 pairs or bin_splats(device, splats, counts, order, width, height, band,
                                     room=room.pairs if room else None),
                 width, height, self._background(of_visible), self._blend_defines(with_depth),
-                blended, exposure, backdrop, of_visible)
+                blended, exposure, of_visible)
         assert blended is not None  # an image has at least one band
         return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
-                     with_depth, backdrop, of_visible)
+                     with_depth, of_visible)
 
     def most_pairs(self, width: int, height: int, with_depth: bool) -> int:
         """The largest number of pairs that a band of a frame may have."""
@@ -297,9 +289,9 @@ class Renderer:
         if pairs is not frame.pairs and pairs.bucket_tiles is not None:  # for the checkpoints
             width, height = frame.size
             blend(device, frame.splats, pairs, width, height, background, defines,
-                  frame.blended, backdrop=frame.backdrop, features=frame.features)
+                  frame.blended, features=frame.features)
         return blend_adjoint(device, frame.splats, pairs, frame.blended, background, *grads,
-                             defines, earlier, frame.backdrop, frame.features)
+                             defines, earlier, frame.features)
 
     def _background(self, features: Features | None) -> Array:
         """The background: real[3], or of features real[C] of zeros."""

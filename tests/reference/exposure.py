@@ -24,16 +24,6 @@ def gain(lens, u):
     return 1 + np.tensordot(lens[:3], powers(u), 1)
 
 
-def in_front(colour, clear, image):
-    """An image behind a layer of colour [3, H, W] and transmittance [H, W]."""
-    return colour + clear * image
-
-
-def in_front_adjoint(clear, grad):
-    """The gradient by the image."""
-    return clear * grad
-
-
 def apply(transform, image, lens=NO_LENS, u=0.0):
     """M (g c) + t at every pixel."""
     u = np.broadcast_to(u, image.shape[1:])

@@ -10,8 +10,6 @@ from tests.reference.exposure import (
     apply_adjoint,
     between,
     gain,
-    in_front,
-    in_front_adjoint,
     lens_penalty,
     lens_step,
     penalty,
@@ -39,14 +37,6 @@ def test_adjoint_agrees_with_differences(size):
     adjoint_agrees(forward, adjoint, {
         "transform": a_transform(0), "image": cases.images(*size)[0], "terms": LENS[:3]},
         what=f"{size}")
-
-
-def test_adjoint_behind_a_layer_agrees_with_differences():
-    colour, image = cases.images(9, 6)
-    clear = np.random.default_rng(2).uniform(0, 1, (6, 9))
-    adjoint_agrees(lambda point: {"result": in_front(colour, clear, point["image"])},
-                   lambda point, grads: {"image": in_front_adjoint(clear, grads["result"])},
-                   {"image": image})
 
 
 def test_gain_is_one_on_the_axis_and_the_sum_of_its_terms_in_the_corner():
