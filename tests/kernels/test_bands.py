@@ -1,5 +1,4 @@
-"""Frames in bands of tiles: the same bytes as in one piece, back to the gaussians and in training.
-"""
+"""Frames in bands of tiles: the same bytes as in one piece, back to the gaussians."""
 
 from collections import Counter
 
@@ -11,13 +10,11 @@ import pytest
 from clsplat.constants import FRAME_COUNTS
 from clsplat.device.array import Array
 from clsplat.errors import DeviceError, OutOfDeviceMemory
-from clsplat.io.scenes.read import read_scene
 from clsplat.rendering.bands import choose_bands, pair_limit, pair_reals
 from clsplat.rendering.bin import PAIR_LIMIT, count_tiles, tile_grid
 from clsplat.rendering.blend import Exposure
 from clsplat.rendering.contribution import contribution
 from tests import cases
-from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
 from tests.kernels.chain import gradients_by_row, render, size_of
 from tests.kernels.test_pipeline import assert_same, cotangents
 
@@ -217,31 +214,3 @@ def test_a_tile_above_the_limit_is_refused(device):
         choose_bands(np.array([3, 31, 2]), 30)
     with pytest.raises(DeviceError, match="single tile, more than 0"):
         render(device, cases.gaussians(SPREAD), pair_limit=0)
-
-
-# --- training
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("changes", [
-    {**LEVELLED, "densify_every": 4, "levels": (1.0,)}, {"schedule": "taming"}],
-    ids=lambda changes: changes["schedule"])
-def test_training_in_bands_ends_in_the_same_bytes(float_device, tmp_path, monkeypatch, changes):
-    city = read_scene(CITY)
-    changes = {"densify_every": 10, "densify_until": 40, "reset_every": 15, **changes,
-               "iterations": 40, "downscale": 4.0, "densify_from": 10}
-    whole = trained(tmp_path / "whole", city, float_device, **changes)
-    assert sum(record["cloned"] for record in records(whole, "grow")) > 0
-    numbers = []
-
-    def chosen(counts, limit):
-        bands = choose_bands(counts, int(0.3 * counts.sum()))
-        numbers.append(len(bands))
-        return bands
-
-    monkeypatch.setattr("clsplat.rendering.pipeline.pair_limit", lambda *_: 500)
-    for module in ("clsplat.rendering.pipeline", "clsplat.training.capacity"):
-        monkeypatch.setattr(f"{module}.choose_bands", chosen)
-    banded = trained(tmp_path / "banded", city, float_device, **changes)
-    assert len(numbers) > 4 and min(numbers) >= 4, numbers
-    assert model_digest(banded) == model_digest(whole)

@@ -125,21 +125,6 @@ def test_photos_agree_where_the_depth_is_right(device):
     assert pulls[1] < 0 < pulls[2]
 
 
-def test_without_a_move_depth_does_not_matter(device):
-    values = an_input((48, 40), seed=2, turn=(0, 0, 0), move=(0, 0, 0))
-    values["transmittance"][:] = 0.25
-    (squares, valid), *grads = run(device, values)
-    assert valid >= 46 * 38 and squares > 0 and np.abs(grads).max() < 1e-13
-
-
-def test_an_identity_of_colours_is_exact(device):
-    values = an_input((48, 40), seed=3)
-    for name in ("photo", "neighbour"):
-        values[name][:] = np.array([7, 101, 255], np.uint8)[:, None, None]
-    (squares, valid), *grads = run(device, {**values, "colour": IDENTITY})
-    assert valid > 500 and squares == 0 and not np.any(grads)
-
-
 @pytest.mark.parametrize("case", ["empty", "neighbour of one column", "of one row", "of one pixel",
                                   "behind", "negative depth", "no depth", "not a number"])
 def test_nothing_valid_leaves_zeros(device, case):
@@ -182,20 +167,6 @@ def test_a_sample_needs_four_texels(device):
             check(device, values, "one sample")
 
 
-@pytest.mark.parametrize("scale", [2.0**-20, 2.0**20])
-def test_world_units_do_not_matter(device, scale):
-    values = an_input((48, 40), seed=4)
-    sums, by_depth, by_transmittance = run(device, values)
-    values["depth"] *= scale
-    for values_of in values["cameras"]:
-        values_of["translation"] *= scale
-    actual = run(device, values)
-    precision = precision_of(device)
-    close(actual[0], sums, precision, "sums")
-    close(actual[1] * scale, by_depth, precision, "gradient of depth")
-    close(actual[2], by_transmittance, precision, "gradient of transmittance")
-
-
 def test_a_far_world_origin_costs_nothing(float_device):
     values = an_input((48, 40), seed=5)
     cameras = [camera(c) for c in values["cameras"]]
@@ -233,15 +204,6 @@ def test_poison_in_what_all_pixels_share_is_never_nan(device, name, index):
         with np.errstate(over="ignore"):
             overflows = not np.isfinite(device.real.type(poison)**2)
         assert not (overflows and name == "colour" and results[0].any())
-
-
-def test_weight(device):
-    values = an_input((33, 17), seed=8)
-    sums, *grads = run(device, values, 0.5)
-    doubled, *twice = run(device, values, 1.0)
-    assert np.array_equal(sums, doubled) and np.any(grads)
-    assert np.array_equal(2 * np.array(grads), twice)
-    assert not np.any(run(device, values, 0)[1:])
 
 
 @pytest.mark.slow

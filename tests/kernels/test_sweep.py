@@ -120,16 +120,6 @@ def test_pixels_that_do_not_count_in_larger_sources(float_device):
     agrees(float_device, [photos[0], *sources], [cameras[0], *large])
 
 
-def test_the_order_of_photos_does_not_matter(float_device):
-    photos, cameras = an_input([(25, 20), (20, 25), (24, 20), (23, 21)])
-    order = [3, 1, 0, 2]
-    images, sizes = device_images(float_device, [photos[number] for number in order])
-    found = sweep(images, sizes, [cameras[number] for number in order], 2, [1, 3, 0], BETWEEN,
-                  PLANES)
-    for array, same in zip(found, run(float_device, photos, cameras)):
-        assert np.array_equal(array.download(), same) and same.any()
-
-
 def test_the_depth_of_a_slanted_plane_is_found(float_device):
     sizes = 4 * [(64, 48)]
     photos, cameras = an_input(sizes)
@@ -164,11 +154,6 @@ def test_what_has_no_depth(float_device):
     assert not hidden[7:14, 9:16].any() and np.array_equal(hidden[:, 17:], depths[:, 17:])
     masked = [photos[0], np.full((20, 25), np.nan), photos[2]]
     assert (run(float_device, masked, cameras)[1] <= 1e-6).all()  # one source is left
-
-
-def test_photos_smaller_than_a_window_have_no_depths(float_device):
-    photos, cameras = an_input(3 * [(9, 6)])
-    assert not np.any(run(float_device, photos, cameras))
 
 
 @pytest.mark.oclgrind
