@@ -15,7 +15,7 @@ from clsplat.cities.joint import train_jointly
 from clsplat.cities.lod import merge_levels
 from clsplat.cities.merge import Merged, merge
 from clsplat.cities.scoring import reference_model, score_in_shares, views_of
-from clsplat.cities.seams import find_seams
+from clsplat.cities.seams import find_seams, inspect_views
 from clsplat.cities.stages import COARSE_FACTOR
 from clsplat.cities.tree import merge_tree
 from clsplat.cities.workers import Workers
@@ -27,7 +27,6 @@ from clsplat.evaluation.views import (
     final_metrics,
     training_pictures,
 )
-from clsplat.gaussians import Gaussians
 from clsplat.io.georeference.files import placement_comments, write_placement
 from clsplat.io.models.ply import read_ply
 from clsplat.io.models.tree import TREE
@@ -202,15 +201,10 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     if not city.picture.is_file():
         draw(city, partition, scene, counts)
     if len(counts) > 1:
-        def model_of(number: int) -> Gaussians | None:
-            block = RunFolder(city.block(number).run)
-            # after a joint training nothing is left of the blocks' own gaussians
-            shown = block.has_model and not record.get("joint_steps")
-            return block.load_model(scene.offset) if shown else None
-
-        seams = find_seams(device, partition, scene, views, options, merged.gaussians, counts,
-                           reference_model(city, scene, against), model_of,
-                           scored.strips if scored else None)
+        errors = scored.errors if scored else inspect_views(
+            device, partition, scene, views, options, merged.gaussians,
+            reference_model(city, scene, against))
+        seams = find_seams(partition, errors, len(views))
         run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
                         "worst_seam_db": seams["worst_seam_db"], "borders": seams["borders"]})
     write_report(run.folder, scores["pictures"] if scores else training_pictures(run, device),

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from clsplat.cities.jobs import Job, never
-from clsplat.cities.seams import Strips, inspect_views
+from clsplat.cities.seams import Errors, inspect_views
+from clsplat.cities.seams import joined as joined_errors
 from clsplat.cities.workers import Workers
 from clsplat.device import Device
 from clsplat.errors import Interrupted
@@ -43,11 +44,11 @@ class Scored:
     Attributes
     ----------
     per_view : of the held-out views, see `evaluate_views`, by the index of the view.
-    strips : of all views that are inspected for seams; None for a single block.
+    errors : beside the borders, see `inspect_views`; none for a single block.
     """
 
     per_view: dict[int, dict[str, Any]]
-    strips: Strips | None
+    errors: Errors
 
 
 @dataclass(frozen=True)
@@ -92,12 +93,12 @@ class ScoreJob(Job):
                 worked()
                 yield index
 
-        strips = None
+        errors: Errors = []
         if len(partition.regions) > 1:
             other = reference_model(city, scene, self.reference)
-            strips = inspect_views(device, partition, scene, views, options, merged, other,
+            errors = inspect_views(device, partition, scene, views, options, merged, other,
                                    inspected())
-        return Scored(per_view, strips)
+        return Scored(per_view, errors)
 
 
 def views_of(scene: Scene, options: SceneOptions) -> tuple[list[View], bool]:
@@ -158,6 +159,5 @@ def score_in_shares(city: CityFolder, options: RunOptions, reference: Path | Non
 def joined(shares: Sequence[Scored]) -> Scored:
     """The scores of all views from those of all shares."""
     per_view = {view: scores for share in shares for view, scores in share.per_view.items()}
-    strips = [share.strips for share in shares if share.strips]
     return Scored({view: per_view[view] for view in sorted(per_view)},
-                  Strips.joined(strips) if strips else None)
+                  joined_errors([share.errors for share in shares]))

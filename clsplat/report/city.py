@@ -9,12 +9,9 @@ from clsplat.report.curves import Record
 from clsplat.report.page import Table, embedded
 
 SEAM_COLUMNS = {  # figure of a border -> its title
-    "overlap_psnr": "overlap dB", "density_jump": "density jump", "pixels": "pixels",
+    "pixels": "pixels",
     "psnr": "PSNR", "elsewhere_psnr": "elsewhere", "seam_db": "seam dB"}
 EXPLAINED = {
-    "overlap_psnr": "overlap: one block against the other, uncropped, beside their border",
-    "density_jump": "density jump: ln of the gaussians on one side over those on the other, minus "
-    "that of the reference",
     "seam_db": "seam: gain in PSNR (colour-corrected, mean of views) over the reference elsewhere, "
     "minus the gain beside the border"}
 

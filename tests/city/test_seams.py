@@ -9,15 +9,14 @@ import pytest
 from clsplat.cities.merge import cropped, joined
 from clsplat.cities.seams import (
     LEAST_PIXELS,
-    Strips,
     _scores,
     find_borders,
     find_seams,
     inspect_views,
 )
-from clsplat.constants import SH_C0
+from clsplat.cities.seams import joined as joined_errors
 from clsplat.evaluation.views import render_view
-from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import write_image
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions
@@ -137,12 +136,12 @@ def report(device, scene, model, spoil=unspoilt, shares=0):
     blocks = [spoil(number, noisy(reference, number, 0.02)) for number in range(4)]
     pieces = [cropped(block, partition, number, scene.offset)
               for number, block in enumerate(blocks)]
-    counts = [piece.count for piece in pieces]
     merged, views = joined(pieces), scene.views
-    parts = [inspect_views(device, partition, scene, views, OPTIONS, merged, reference,
-                           range(share, len(views), shares)) for share in range(shares)]
-    return find_seams(device, partition, scene, views, OPTIONS, merged, counts, reference,
-                      lambda number: blocks[number], Strips.joined(parts) if parts else None)
+    inspect = functools.partial(inspect_views, device, partition, scene, views, OPTIONS, merged,
+                                reference)
+    errors = joined_errors([inspect(range(share, len(views), shares)) for share in range(shares)]
+                           ) if shares else inspect()
+    return find_seams(partition, errors, len(views))
 
 
 def by_pair(seams, key):
@@ -154,12 +153,10 @@ def test_blocks_that_agree_have_no_seam(item_device, photographed, model):
     assert len(seams["borders"]) == 4
     assert abs(seams["seam_db"]) < SEAM / 2 and seams["worst_seam_db"] < SEAM
     for record in seams["borders"]:
-        assert record["pixels"] > 1000 and record["overlap_psnr"] > 45
+        assert record["pixels"] > 1000
         assert record["psnr"] > 30  # without the fit of colours it is below 20
-        assert abs(record["density_jump"]) < 1e-9  # the reference has the same gaussians
-        assert min(record["gaussians"]) > 50
     table = seam_table(seams).text()
-    assert "000 | 001" in table and "all" in table and "overlap dB" in table
+    assert "000 | 001" in table and "all" in table
 
 
 def test_shares_of_the_views_make_the_same_report(item_device, photographed, model):
@@ -182,12 +179,8 @@ def test_a_brighter_block_shows_at_its_borders_only(item_device, photographed, m
             gaussians.rows["sh_constant"] += 0.5
         return gaussians
 
-    fine = by_pair(report(item_device, photographed, model), "overlap_psnr")
     seams = report(item_device, photographed, model, spoil)
-    overlap, values = by_pair(seams, "overlap_psnr"), by_pair(seams, "seam_db")
-    for pair in overlap:
-        expected = -20 * np.log10(0.5 * SH_C0) if 0 in pair else fine[pair]
-        assert overlap[pair] == pytest.approx(expected, abs=0.3)
+    values = by_pair(seams, "seam_db")
     assert min(values[0, 1], values[0, 2]) > 2 and seams["worst_seam_db"] > 2
     assert max(values[0, 1], values[0, 2]) > values[1, 3] + 2
 
@@ -214,26 +207,7 @@ def test_a_block_shifted_by_a_hundredth_shows(item_device, photographed, model):
             gaussians.rows["positions"] += np.float32([0.66, 0, 0])
         return gaussians
 
-    fine = by_pair(report(item_device, photographed, model), "overlap_psnr")
-    seams = report(item_device, photographed, model, spoil)
-    overlap = by_pair(seams, "overlap_psnr")
-    for pair in overlap:
-        loss = fine[pair] - overlap[pair]
-        assert loss > 10 if 1 in pair else abs(loss) < 0.1
-    assert seams["worst_seam_db"] > SEAM
-
-
-def test_gaussians_kept_twice_are_a_jump_of_density(item_device, photographed, model):
-    def spoil(number, gaussians):
-        if number == 2:
-            return Gaussians({f.name: np.concatenate([gaussians.rows[f.name]] * 2)
-                              for f in LEARNED}, gaussians.sh_degree)
-        return gaussians
-
-    jumps = by_pair(report(item_device, photographed, model, spoil), "density_jump")
-    assert jumps[0, 2] == pytest.approx(np.log(2), abs=0.02)
-    assert jumps[2, 3] == pytest.approx(-np.log(2), abs=0.02)
-    assert jumps[0, 1] == pytest.approx(0) and jumps[1, 3] == pytest.approx(0)
+    assert report(item_device, photographed, model, spoil)["worst_seam_db"] > SEAM
 
 
 def test_a_border_is_the_mean_of_its_views_by_their_pixels():
@@ -252,16 +226,8 @@ def test_a_border_is_the_mean_of_its_views_by_their_pixels():
     assert _scores(errors[2:])["seam_db"] is None and _scores([])["pixels"] == 0
 
 
-def test_what_cannot_be_said_is_left_open(item_device, photographed, model):
-    space = Space(np.eye(3), photographed.offset, np.full(3, 30.0))
-    partition = boxes(QUARTERS, space)
-    counts = np.bincount(partition.owner(model.positions + photographed.offset), minlength=4)
-    merged = joined([cropped(model, partition, n, photographed.offset) for n in range(4)])
-    seams = find_seams(item_device, partition, photographed, photographed.views[:1], OPTIONS,
-                       merged, counts, model, lambda number: None)
-    assert all(record["overlap_psnr"] is None for record in seams["borders"])
-    assert "overlap" not in seam_table(seams).text() and "density jump" in seam_table(seams).text()
-    empty = find_seams(item_device, partition, photographed, (), OPTIONS, merged, counts, model,
-                       lambda number: None)
+def test_what_cannot_be_said_is_left_open():
+    partition = boxes(QUARTERS)
+    empty = find_seams(partition, [[] for _ in range(5)], 0)
     assert empty["worst_seam_db"] is None and empty["seam_db"] is None
     assert "-" in seam_table(empty).text()

@@ -132,7 +132,7 @@ def test_scores_that_are_added_are_in_the_next_report(run):
 def test_a_city_has_its_map_and_its_tables_in_each_report(run, tmp_path):
     share = {"block": 7, "state": "trained", "gaussians": 5, "trained": 6, "views": 3, "points": 9,
              "note": ""}
-    border = {"blocks": [0, 1], "overlap_psnr": None, "density_jump": 0.25, "pixels": 12,
+    border = {"blocks": [0, 1], "pixels": 12,
               "psnr": 20.0, "elsewhere_psnr": 21.0, "seam_db": 0.5}
     write_image(run.path / "partition.png", np.zeros((2, 3, 3), np.uint8))
     run.log({"event": "merge", "blocks": [share], "dropped": {}})
