@@ -1,4 +1,4 @@
-"""The scene frequency, which tells how fine the detail of a model is (cl/frequency.cl)."""
+"""The scene frequency, a measure of how fine the detail of a model is (cl/frequency.cl)."""
 
 from clsplat.constants import FREQUENCY_SUMS, FREQUENCY_TERMS, LANES
 from clsplat.device import Array, Device, Forms, Kernel, groups, items

@@ -37,7 +37,7 @@ class Interrupts:
 
     @contextmanager
     def waiting(self) -> Iterator[Callable[[], bool]]:
-        """Only count the first signal during the block; yields a function that tells of it."""
+        """Only count the first signal during the block; yields a function: whether it came."""
         self._waits = True
         try:
             yield lambda: self.count > 0
@@ -68,7 +68,7 @@ def handled_interrupts() -> Iterator[Interrupts]:
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     """Defer the first Ctrl-C to the end of the block; the second raises KeyboardInterrupt at once.
 
-    Yields a function that tells whether Ctrl-C was pressed.
+    Yields a function that returns whether Ctrl-C was pressed.
     """
     handler = signal.getsignal(signal.SIGINT)
     if isinstance(handler, Interrupts):

@@ -59,7 +59,7 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     ----------
     scene : as it was read.
     options : as the user gave them.
-    device : of the training.
+    device : where it trains.
     run : an empty folder.
     progress : receives steps, messages and phases; None: only warnings are shown.
     callbacks : called with every record; may raise StopTraining.

@@ -26,7 +26,7 @@ class Model:
 
     Parameters
     ----------
-    device : of the training.
+    device : where it trains.
     gaussians : the initial ones.
     engine : where moments are kept, "device" or "numpy"; "auto": on the device if they fit now.
     dense : whether Adam updates all rows or only those that a view saw.

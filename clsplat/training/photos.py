@@ -108,7 +108,7 @@ def size_note(views: Sequence[View], options: SceneOptions) -> str | None:
     Parameters
     ----------
     views : as they were read.
-    options : of the training.
+    options : options of the photos' size.
     """
     limited = [view.camera for view in views
                if view.camera.reduced(options.downscale, options.max_resolution).width

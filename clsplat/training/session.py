@@ -214,7 +214,7 @@ class Session:
         cameras = [view.camera for view in self.corrected(self.photos.views)]
         for view in views:
             sample = replace(self.sample(view, 1), camera=self.renderer.pack(cameras[view]))
-            work = self.step.pass_of(sample, {})
+            work = self.step.pass_of(sample)
             for part in parts:
                 if (inputs := part.inputs(now, sample)) is not None:
                     part.respond(work, inputs)

@@ -48,14 +48,14 @@ class _Given(NamedTuple):
     sample : the view.
     numbers : what Adam needs of the step.
     slot : place of the view in the batch.
-    inputs : of each part that takes part in the view.
+    parts : those that take part in the view, with their inputs.
     """
 
     plan: Plan
     sample: TrainingSample
     numbers: Mapping[str, Any]
     slot: int
-    inputs: Mapping[Part, Inputs]
+    parts: Sequence[tuple[Part, Inputs]]
 
 
 class Step:
@@ -162,9 +162,9 @@ class Step:
         measured: list[Measured] = [{} for _ in range(views)]
         numbers = self._model.adam.numbers(iteration, now.rates)
         for slot, sample in zip(range(views), samples):
-            given = _Given(plan, sample, numbers, slot, {
-                part: found for part in self.parts
-                if (found := part.inputs(now, sample)) is not None})
+            given = _Given(plan, sample, numbers, slot, [
+                (part, found) for part in self.parts
+                if (found := part.inputs(now, sample)) is not None])
 
             def work(given: _Given = given) -> None:
                 measured[given.slot] = self._take(given)
@@ -191,23 +191,23 @@ class Step:
     def _make_room(self, given: _Given) -> None:
         self._graphs.clear()  # whose memory frames with more room could not use
         self.device.trim()
-        camera = self.pass_of(given.sample, given.inputs).camera
+        camera = self.pass_of(given.sample, given.parts).camera
         _, height, width = given.sample.photo.shape
         self._capacity.grow(self._model.rows, camera, width, height)
 
-    def pass_of(self, sample: TrainingSample, inputs: Mapping[Part, Inputs], view: int | None = None
-                ) -> ViewPass:
+    def pass_of(self, sample: TrainingSample, parts: Sequence[tuple[Part, Inputs]] = (),
+                view: int | None = None) -> ViewPass:
         """The pass of a sample, from the camera that parts correct.
 
         Parameters
         ----------
         sample : the sample.
-        inputs : of the parts that take part in it.
+        parts : those that take part in it, with their inputs.
         view : an input of a recording instead of `sample.view`.
         """
         work = ViewPass(sample.view if view is None else view, sample.camera, sample.camera,
                         sample.photo, self._model.rows, self.units.counts, self.frozen)
-        for part, own in inputs.items():
+        for part, own in parts:
             part.camera(work, own)
         return work
 
@@ -219,21 +219,22 @@ class Step:
             self._recorded_for = state
             if self.options.batch > 1:
                 self._batch = BatchMean(self.device, self._learned(), self.options.batch)
-        sample, parts = given.sample, given.inputs
-        if not self._model.adam.RECORDS or any(part.waits for part in parts):
+        sample, parts = given.sample, given.parts
+        if not self._model.adam.RECORDS or any(part.waits for part, _ in parts):
             return self._enqueue(given, sample.view, None)
         inputs: dict[str, Any] = {"camera": sample.camera, "photo": sample.photo,
                                   "view": sample.view, **given.numbers}
-        for part, own in parts.items():
+        for part, own in parts:
             inputs |= {f"{part.name}.{name}": value for name, value in own.items()}
-        key = (given.slot, given.plan.degree, given.plan.gathers, sample.own_mask, tuple(parts),
+        key = (given.slot, given.plan.degree, given.plan.gathers, sample.own_mask,
+               tuple(part.name for part, _ in parts),
                tuple((name, value.shape) for name, value in inputs.items()
                      if isinstance(value, Array)))
         if graph := self._graphs.get(key):
             graph.replay(**inputs)
         else:
             _, height, width = sample.photo.shape
-            with_depth = any(part.needs_depth for part in parts)
+            with_depth = any(part.needs_depth for part, _ in parts)
             if not self._capacity.is_known(width, height, with_depth):
                 self._make_room(given)
             room = self._capacity.room(self.count, width, height, with_depth)
@@ -242,8 +243,8 @@ class Step:
             with self.device.record(**inputs) as graph:
                 recorded = given._replace(
                     numbers={name: graph.inputs[name] for name in given.numbers},
-                    inputs={part: {name: graph.inputs[f"{part.name}.{name}"] for name in own}
-                            for part, own in parts.items()})
+                    parts=[(part, {name: graph.inputs[f"{part.name}.{name}"] for name in own})
+                           for part, own in parts])
                 graph.result = self._enqueue(recorded, graph.inputs["view"], room)
             self._graphs[key] = graph
         measured: Measured = graph.result
@@ -251,14 +252,14 @@ class Step:
 
     def _enqueue(self, given: _Given, view: int, room: Room | None) -> Measured:
         """The work of a sample, kernel after kernel; `view` is its index, or an input."""
-        plan, numbers, parts = given.plan, given.numbers, given.inputs
+        plan, numbers, parts = given.plan, given.numbers, given.parts
         views, used, measured = self.options.batch, self._used(plan.degree), Measured()
         work = self.pass_of(given.sample, parts, view)
         self._model.adam.catch_up_seen(self._learned(), numbers, plan.degree, self.frozen,
                                        work.camera, self.units.counts)
         work.gradients = self._gradients(given, work, room, measured)
         del work.frame, work.grad  # so that what follows uses their memory
-        for part, own in parts.items():
+        for part, own in parts:
             part.learn(work, own)
         gradients = work.gradients
         if self._batch:
@@ -267,23 +268,23 @@ class Step:
                 return measured
             gradients = self._batch.mean(self.units.counts, used, self.count if room else None)
         self._model.adam.apply(self._learned(), gradients, numbers, used, self.frozen)
-        for part, own in parts.items():
+        for part, own in parts:
             part.move(work, own)
         return measured
 
     def _gradients(self, given: _Given, work: ViewPass, room: Room | None, measured: Measured
                    ) -> Gradients:
         """The gradients of one sample; adds to `measured` and to the statistics."""
-        parts, photo, plan = given.inputs, work.photo, given.plan
-        for part, own in parts.items():
+        parts, photo, plan = given.parts, work.photo, given.plan
+        for part, own in parts:
             part.respond(work, own)
         work.frame = self.renderer.render(
             work.rows, work.camera, photo.shape[2], photo.shape[1], plan.degree,
-            any(part.needs_depth for part in parts), room, work.counts, work.exposure)
-        for part, own in parts.items():
+            any(part.needs_depth for part, _ in parts), room, work.counts, work.exposure)
+        for part, own in parts:
             if (result := part.add_to(work, own)) is not None:
                 measured[part.name] = result
-        for part, own in parts.items():
+        for part, own in parts:
             part.adjoint(work, own)
         grad = work.grad
         assert grad.image is not None  # a term of the loss compares the image
@@ -291,7 +292,7 @@ class Step:
             work.rows, work.frame, grad.image, grad.depth, grad.transmittance, self.frozen,
             self._statistics.sums if plan.gathers else None,
             photo if is_masked(photo) and given.sample.own_mask else None,
-            any(part.needs_pose for part in parts))
+            any(part.needs_pose for part, _ in parts))
 
     def _learned(self) -> dict[str, Array]:
         rows = self._model.rows

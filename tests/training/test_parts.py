@@ -2,7 +2,7 @@
 
 import importlib.util
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ from tests.kernels.chain import camera_of, size_of
 PLAN = Plan(1.0, 1, gathers=True, grows=False, resets_opacity=False, prunes_large=False, decay=0.5)
 
 
+@dataclass  # whose instances have no hash
 class Darkness(Part):
     """A pull of the image to black: the mean of its squares."""
 

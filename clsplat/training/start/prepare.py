@@ -71,7 +71,7 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None,
     ----------
     scene : as it was read.
     options : as the user gave them.
-    device : of the training.
+    device : where it trains.
     parts : besides those that the options ask for.
     """
     parts = tuple(parts)
