@@ -1,6 +1,8 @@
 // What is blended: the colours of a splat (splat.h), or WITH_FEATURES the features of its gaussian:
 // row visible[v] of features: real[N, CHANNELS]. Images and their gradients are real[CHANNELS, H,
 // W]. Three channels are spelled out, so that they stay in registers: PoCL would not unroll a loop.
+// Other numbers of channels are loops that are unrolled, without which PoCL 3.1 does not finish the
+// group form's adjoint.
 #ifndef WITH_FEATURES
 #define WITH_FEATURES 0
 #endif
@@ -25,12 +27,12 @@
 #define ADD_CHANNELS(TOTAL, TERM) TOTAL = TERM(0) + TERM(1) + TERM(2)
 #else
 #define EACH_CHANNEL(BODY)                                                                         \
-    for (int channel = 0; channel < CHANNELS; channel++) {                                         \
+    _Pragma("unroll") for (int channel = 0; channel < CHANNELS; channel++) {                       \
         BODY                                                                                       \
     }
 #define ADD_CHANNELS(TOTAL, TERM)                                                                  \
     TOTAL = TERM(0);                                                                               \
-    for (int channel = 1; channel < CHANNELS; channel++)                                           \
+    _Pragma("unroll") for (int channel = 1; channel < CHANNELS; channel++)                         \
     TOTAL += TERM(channel)
 #endif
 
@@ -78,10 +80,10 @@ typedef struct {
     real other;
 } ColourAnd;
 #define LOAD_COLOUR(COLOUR, TERM)                                                                  \
-    for (int channel = 0; channel < CHANNELS; channel++)                                           \
+    _Pragma("unroll") for (int channel = 0; channel < CHANNELS; channel++)                         \
     (COLOUR).of[channel] = TERM(channel)
 #define EACH_COMPONENT(ACTION, COLOUR)                                                             \
-    for (int channel = 0; channel < CHANNELS; channel++)                                           \
+    _Pragma("unroll") for (int channel = 0; channel < CHANNELS; channel++)                         \
     ACTION(channel, (COLOUR).of[channel])
 
 INLINE ColourAnd colour_and(Colour colour, real other)

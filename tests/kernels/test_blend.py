@@ -91,10 +91,10 @@ def test_image_and_gradients(device, size):
     check(device, *cases.splats(40, *size), size, f"{size}")
 
 
+@pytest.mark.slow  # PoCL compiles the group form for a quarter of a minute
 @pytest.mark.oclgrind
-@pytest.mark.parametrize("channels", [pytest.param(1, marks=pytest.mark.slow),
-                                      pytest.param(3, marks=pytest.mark.slow), 8])
-@pytest.mark.parametrize("with_depth", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("channels", [1, 3, 8])
+@pytest.mark.parametrize("with_depth", [False, True])
 def test_features_of_any_number_of_channels(device, channels, with_depth):
     """In place of the colours of the splats, which are nan; of gaussians in another order."""
     size, rng = (37, 29), np.random.default_rng(channels)
