@@ -13,7 +13,6 @@ import pytest
 from click.testing import CliRunner
 
 from clsplat.cli.train import ending
-from clsplat.io.runs.run import RunFolder
 from tests.cli.test_cli import python, raising
 
 
@@ -53,7 +52,7 @@ def test_a_training_ends_with_what_can_be_done(name, shown, page, tmp_path, monk
     (tmp_path / name / "report.html").touch()
     assert ending(Path(name)) == [f"report:  {Path(name)}/report.html", *look]
     place = SimpleNamespace(warnings=("the residual is large",))
-    monkeypatch.setattr(RunFolder, "georeference", lambda self: place)
+    monkeypatch.setattr("clsplat.io.georeference.files.read_georeference", lambda path: place)
     assert ending(Path(name))[0] == "warning: the residual is large"
     monkeypatch.chdir(tmp_path / name)
     page = ending(Path())[-1].removeprefix("send:    clsplat export . -o ")
