@@ -144,7 +144,7 @@ def test_a_run_without_levels_says_how_to_get_them(run, tmp_path):
     bare, early = (shutil.copytree(run.path, tmp_path / name) for name in ("bare", "early"))
     shutil.rmtree(bare / "lod")
     (early / "point_cloud.ply").unlink()
-    for model, said in ((bare, "bare: has no levels of detail; train it to its end with --snap"),
+    for model, said in ((bare, "bare: has no levels of detail; train it to its end with snap"),
                         (early, "early/point_cloud.ply: the run has no model yet"),
                         (bare / "point_cloud.ply", "point_cloud.ply: holds no run")):
         result = CliRunner().invoke(main, ["render", str(model), "--lod", "-o", str(tmp_path)])

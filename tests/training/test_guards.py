@@ -7,9 +7,9 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
-from clsplat.loss import image_loss
 from clsplat.options import resolve
 from clsplat.training import checkpoint, loop, recorder, skipped_gradients, step
+from clsplat.training.parts import image_term
 from clsplat.training.progress import SilentProgress
 from clsplat.training.skipped_gradients import SkippedGradients
 from tests.data.tiny_model import write_scene
@@ -132,10 +132,10 @@ def poison(monkeypatch):
                 grad_image.write(values)
             return sums, grad_image
 
-        monkeypatch.setattr(image_loss, "image_loss", poisoned)
-        monkeypatch.setattr(image_loss.ImageLoss, "waits", True)
+        monkeypatch.setattr(image_term, "image_loss", poisoned)
+        monkeypatch.setattr(image_term.ImageTerm, "waits", True)
 
-    original = image_loss.image_loss
+    original = image_term.image_loss
     return poison
 
 
@@ -250,7 +250,7 @@ def test_spoilt_parameters_are_not_saved(train, monkeypatch):
 @pytest.mark.slow
 def test_a_spoilt_end_leaves_no_model(train, monkeypatch):
     """The last steps are checked, too, wherever the run ends."""
-    monkeypatch.setattr(image_loss, "loss_value", lambda *_: (np.nan,) * 3)
+    monkeypatch.setattr(image_term, "loss_value", lambda *_: (np.nan,) * 3)
     monkeypatch.setattr(recorder.Recorder, "stepped", lambda *_: None)
     with pytest.raises(InputError, match="run: the loss at step 13 is nan; there is no") as caught:
         train(iterations=13, checkpoint_every=0)

@@ -12,7 +12,7 @@ from clsplat.training import step as steps
 from clsplat.training.model import Model
 from clsplat.training.step import Step
 from clsplat.training.units import Unit, Units
-from tests.city.test_block import block_of
+from tests.city.test_block import block_of, trained_block
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
 
 STEPS = {"iterations": 40, "densify_from": 10, "densify_every": 10, "densify_until": 40,
@@ -82,14 +82,16 @@ def test_so_it_does_in_the_group_form(group_device, city, tmp_path, monkeypatch,
 
 
 def same_bytes(device, city, tmp_path, monkeypatch, repeated, name):
-    scene, ends = block_of(city) if name == "block" else city, []
+    scene, train, ends = city, trained, []
+    if name == "block":
+        scene, train = block_of(city), trained_block
     for margin in ("ample", "scarce"):
         repeated.clear()
         if margin == "ample":
             monkeypatch.setattr(capacity, "MARGIN", 3.0)
         else:
             scarce(monkeypatch, repeated)
-        run = trained(tmp_path / margin, scene, device, **TRAININGS[name])
+        run = train(tmp_path / margin, scene, device, **TRAININGS[name])
         steps = [(record["iteration"], record["loss"], record["pixel_pairs"],
                   record["skipped_rows"]) for record in records(run, "step")]
         grown = [(record["gaussians"], record["pixel_pairs"]) for record in records(run, "grow")]

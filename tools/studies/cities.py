@@ -153,7 +153,7 @@ def made_city(work, streets, photos, size):
     scene = work.out / f"streets-{streets}x{streets}-{photos}-{size}"
     if not scene.exists():
         if clsplat("synth", "-o", scene, "--blocks", f"{streets}x{streets}", "--views", photos,
-                   "--size", size, "--overwrite"):
+                   "--size", size):
             raise InputError(f"{scene}: this city could not be made, for the reason above")
     return scene
 
