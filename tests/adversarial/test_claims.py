@@ -94,6 +94,8 @@ CLAIMS = {
 @pytest.mark.parametrize("case", CLAIMS)
 def test_a_claim_is_compared_with_the_file(tmp_path, case):
     name, write, read = CLAIMS[case]
+    if name.endswith((".las", ".laz")):
+        pytest.importorskip("laspy", reason="laspy is an extra: pip install 'clsplat[geo]'")
     write(tmp_path / name)
     refused(read, tmp_path / name)
 
