@@ -64,7 +64,7 @@ def test_what_cannot_be_done_is_said_in_one_line(tmp_path):
     ("exif_gps_whole_seconds", "GPS of 12 photos: residual 0.00 m", 326892, 4685197, 100),
     ("exif_gps_status_void", "positions of 12 photos as void; they are used", 326892, 4685198, 100),
     ("exif_altitude_zero", "residual 0.00 m along the ground, 0.02 m in h", 326892, 4685197, 100),
-    ("tracks_without_observations", "export the model with the observations of its", 0, 0, 0),
+    ("tracks_without_observations", "error: CASE: not georeferenced: no photo has GPS;", 0, 0, 0),
     ("gcp/scene wkt_ft", "are taken as US survey foot, the unit of its x", 549909, 4147338, 300),
     ("gcp/scene_space spacename", "by 7 ground control points: residual 0.00", 500123, 5200451,
      300),
@@ -78,6 +78,35 @@ def test_cases_of_public_reports(tmp_path, name, words, east, north, height):
     if east:
         known = read_scene(tmp_path / "out").georeference
         assert np.abs(np.subtract(known.offset, (east, north, height))).max() <= 2
+
+
+def marks_of(scene, at):
+    """A file of eight points of a scene, whose origin is at a place of UTM zone 32."""
+    views, rows = scene.views, ["EPSG:32632"]
+    pixels, depths = zip(*(view.camera.project(scene.points) for view in views))
+    camera = views[0].camera
+    seen = (np.array(depths) > 0) & (np.array(pixels) > 5).all(axis=2) & (
+        np.array(pixels) < (camera.width - 5, camera.height - 5)).all(axis=2)
+    for index in np.argsort(-seen.sum(axis=0), kind="stable")[:60:8]:
+        place = scene.unit * scene.points[index] + scene.offset + at
+        rows += [" ".join(map(str, (*place, *pixels[number][index], view.name, f"P{index}")))
+                 for number, view in enumerate(views) if seen[number, index]]
+    return "\n".join(rows)
+
+
+@needs_cases
+@pytest.mark.slow
+@pytest.mark.parametrize("option, words, place", [
+    ("--photos", "the GPS of 6 photos: residual 0.00 m along the ground, 0.0", (326915, 4685138)),
+    ("--gcp", "8 ground control points: residual 0.000 m along the ground, 0.0", (5e5, 52e5))])
+def test_tracks_without_observations_are_placed(tmp_path, option, words, place):
+    path = CASES / "tracks_without_observations"
+    (tmp_path / "gcp.txt").write_text(marks_of(read_scene(path), (5e5, 52e5, 0)))
+    file = {"--gcp": tmp_path / "gcp.txt", "--photos": CASES / "exif_gps_whole_seconds" / "images"}
+    code, said = georeference(path, "-o", tmp_path / "out", option, file[option])
+    assert code == 0 and words in said
+    known = read_scene(tmp_path / "out").georeference
+    assert np.abs(np.subtract(known.offset[:2], place)).max() <= 20
 
 
 def lines_of(survey, change, crs=CRS, marks=None):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Iterable, Iterator
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -238,22 +240,54 @@ def _observations(ids: NDArray[np.int64], points: Points, order: NDArray[np.int6
 
 
 def read_reconstruction(model: Path) -> pycolmap.Reconstruction:
-    """Read a model that `model_arrays` has passed as pycolmap does, which cuts names in a text at
-    their first blank.
+    """Read a model that `model_arrays` has passed.
 
-    Raises
-    ------
-    InputError : it has tracks without the observations of images, which pycolmap does not read.
+    pycolmap cuts names in a text at their first blank. It does not read tracks whose images lack
+    their observations, which then become the projections of the points.
     """
     import pycolmap
 
+    cameras, images, points = model_parts(model, ("points3D",))
     try:
         reconstruction = pycolmap.Reconstruction(model)
     except IndexError:
-        raise InputError(f"{model}: its tracks name observations that its images do not have; "
-                         "export the model with the observations of its images") from None
-    for image in model_parts(model, ("points3D",))[1]:
+        reconstruction = _rebuilt(cameras, images, points)
+    for image in images:
         reconstruction.images[image.number].name = image.name
+    return reconstruction
+
+
+def _rebuilt(cameras: Sequence[Camera], images: Sequence[Image], points: Points
+             ) -> pycolmap.Reconstruction:
+    """With the projections of the points as observations."""
+    import pycolmap
+
+    seen: defaultdict[int, list[int]] = defaultdict(list)  # ids of points by image
+    rows = []
+    for number, position, colour, track in zip(
+            points.ids.tolist(), points.positions.tolist(), points.colours.tolist(),
+            np.split(points.images, np.cumsum(points.lengths)[:-1])):
+        row = [number, *position, *colour, 0.5]
+        for image in track.tolist():
+            row += [image, len(seen[image])]
+            seen[image].append(number)
+        rows.append(row)
+    with TemporaryDirectory() as folder:
+        for part, lines in (
+                ("cameras", [[camera.number, camera.model, camera.width, camera.height,
+                              *camera.parameters] for camera in cameras]),
+                ("images", [line for image in images for line in (
+                    [image.number, *image.quaternion, *image.translation, image.camera,
+                     image.number],
+                    [word for number in seen[image.number] for word in (0, 0, number)])]),
+                ("points3D", rows)):
+            text = "\n".join(" ".join(map(str, line)) for line in lines)
+            (Path(folder) / f"{part}.txt").write_text(text + "\n", encoding="utf-8")
+        reconstruction = pycolmap.Reconstruction(folder)
+    for image in reconstruction.images.values():
+        for point in image.points2D:
+            pixel = image.project_point(reconstruction.points3D[point.point3D_id].xyz)
+            point.xy = np.zeros(2) if pixel is None else pixel
     return reconstruction
 
 
