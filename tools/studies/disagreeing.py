@@ -1,7 +1,7 @@
-"""Pack a scene whose photos are made to disagree about the colours of a place.
+"""Write a scene whose photos are made to disagree about the colours of a place.
 
-    python -m tools.studies.disagreeing SCENE OUT.npz --shadows 12 --test-offset 3
-    clsplat plan OUT.npz --test-offset 3
+    python -m tools.studies.disagreeing SCENE OUT --shadows 12 --test-offset 3
+    clsplat plan OUT --test-offset 3
 
 --poses turns each camera, those of held-out photos too, by so many degrees in the root mean square,
 and moves it by as much of the typical depth, as a poor reconstruction would have it. --noise adds

@@ -27,7 +27,7 @@ class Scene:
         self.downscale = float(number)
         if not Path(self.path).exists():
             raise InputError(f"{self.path}: no such scene; check the path")
-        self.name = Path(self.path).resolve().name.removesuffix(".npz")
+        self.name = Path(self.path).resolve().name
         if self.downscale != 1:
             self.name += f"-r{number}"
 
