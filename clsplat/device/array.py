@@ -72,12 +72,6 @@ class Array:
             cl.enqueue_copy(self.device.queue, copy.buffer, self.buffer, byte_count=self.nbytes)
         return copy
 
-    def viewed(self, dtype: DTypeLike, *shape: int) -> Array:
-        """The same memory as another type, under a shape of as many bytes."""
-        if math.prod(shape) * np.dtype(dtype).itemsize != self.nbytes:
-            raise ShapeError(f"cannot view {self.dtype}{self.shape} as {dtype}{shape}")
-        return Array(self.device, self.buffer, shape, dtype, self.block)
-
     def download(self) -> NDArray[Any]:
         """A numpy copy; waits for everything queued before."""
         host = np.empty(self.shape, self.dtype)
