@@ -34,7 +34,7 @@ from clsplat.report.map import write_map
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
 from clsplat.training.photos import THREADS
-from clsplat.training.start.facts import scene_facts, smallest_size
+from clsplat.training.start.prepare import scene_facts, smallest_size
 
 REQUESTED = "asked"  # key of partition.json for the PartitionOptions
 JOINT = "joint"  # key of partition.json for the options of the joint training, where there is one

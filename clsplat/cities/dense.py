@@ -26,7 +26,7 @@ from clsplat.options import TrainOptions
 from clsplat.scene import Scene
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
-from clsplat.training.start.dense_start import first_gaussians
+from clsplat.training.start.initialise import first_gaussians
 from clsplat.training.start.prepare import prepare
 
 FOLDER = "start"  # of the job's log, in the city's folder meanwhile

@@ -22,7 +22,7 @@ from clsplat.rendering.options import RenderingOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
-from clsplat.training.start.facts import scene_facts
+from clsplat.training.start.prepare import scene_facts
 
 GIB = 2**30
 COARSE_COST = 0.25  # time of the coarse run, as a share of the time of one run of the whole

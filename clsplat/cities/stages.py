@@ -21,7 +21,7 @@ from clsplat.schedule import chooses_steps, schedule_of, worthwhile_steps
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
-from clsplat.training.start.facts import scene_facts
+from clsplat.training.start.prepare import scene_facts
 
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
 # of the steps of one run; at half size they cost a quarter or less. A joint training needs fewer

@@ -1,5 +1,5 @@
 """Predicts the memory and time of a training: memory by counting, time from a few real steps.
 
-`clsplat.training.start.decisions` decides which parts a scene needs, as in a training, and
+`clsplat.training.start.prepare` decides which parts a scene needs, as in a training, and
 `clsplat.schedule.simulate` predicts the schedule.
 """

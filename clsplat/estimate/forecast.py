@@ -20,11 +20,9 @@ from clsplat.scene import Scene
 from clsplat.schedule import laid_over
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.training.part import Decision, Part
-from clsplat.training.photo_store import MEMORY_BYTES
-from clsplat.training.photos import DEVICE_SHARE, reading_bytes
+from clsplat.training.photos import DEVICE_SHARE, MEMORY_BYTES, reading_bytes
 from clsplat.training.progress import SilentProgress
-from clsplat.training.start.dense_start import start_seconds
-from clsplat.training.start.initialise import initial_gaussians
+from clsplat.training.start.initialise import initial_gaussians, start_seconds
 from clsplat.training.start.prepare import prepare
 
 MIB = 2**20

@@ -40,7 +40,7 @@ from clsplat.training.photos import THREADS, epoch_order, size_note
 from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Recorder, broken
 from clsplat.training.session import Session
-from clsplat.training.start.decisions import is_stage
+from clsplat.training.start.prepare import is_stage
 from clsplat.training.start.scene_checks import find_warnings
 from clsplat.training.step import Measured
 

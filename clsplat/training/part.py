@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from clsplat.schedule import Plan, SceneFacts
     from clsplat.schedule.growth import Growth
     from clsplat.training.model import Model
+    from clsplat.training.photos import Thumbnails
     from clsplat.training.session import Session
     from clsplat.training.start.prepare import PreparedScene
-    from clsplat.training.start.thumbnails import Thumbnails
 
 Inputs = Mapping[str, Any]  # of a part, in one view of one step
 State = Mapping[str, NDArray[Any]]

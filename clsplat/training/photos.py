@@ -1,12 +1,20 @@
-"""Training photos at each level, which stay on the device while they fit."""
+"""Training photos at each level: on the device while they fit, else on the host or in a file.
+
+A photo is decoded once a level, and not again at each of its uses: a photo of 50 megapixels takes
+about a second to decode, and a twentieth of that to read from such a file.
+"""
 
 import math
 import os
+import shutil
+import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from io import BufferedRandom
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +26,11 @@ from clsplat.io.photos.views import photo_bands, read_valid
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.scene import View
 from clsplat.training.parts.outlier_masks import Cells, resampled, spread
-from clsplat.training.photo_store import MEMORY_BYTES, PhotoStore
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
+MEMORY_BYTES = 128 << 20  # of the photos that a store keeps in memory
+DISK_SHARE = 0.25  # of the free space of the disk, which its file may take
+SMALL_SIDE = 256  # pixels of thumbnails; brightness and colours need no more
 HOST_BYTES = 640 << 20  # of the photos that are decoded at the same time
 BAND_COPIES = 8  # of a band: as the library has it, as 8-bit samples and as floats
 LENS_BYTES = 14  # a pixel: the stored and the undistorted photo, and the map between them
@@ -28,6 +38,8 @@ MOST_THREADS = 8  # that read photos
 HALF_THE_CORES = min(MOST_THREADS, (os.cpu_count() or 2) // 2)
 THREADS = max(2, HALF_THE_CORES)  # while nothing else runs
 THREADS_BESIDE = max(1, HALF_THE_CORES)  # beside a training
+Photo = NDArray[np.uint8]
+Kept = Photo | tuple[int, ...] | None  # the photo, its shape in the file, or nothing
 
 
 def epoch_order(seed: int, epoch: int, visits: NDArray[np.floating]) -> NDArray[np.int64]:
@@ -50,7 +62,7 @@ def epoch_order(seed: int, epoch: int, visits: NDArray[np.floating]) -> NDArray[
     return rng.permutation(order[np.searchsorted(ends, at, side="right").clip(max=count - 1)])
 
 
-def decode(view: View) -> NDArray[np.uint8]:
+def decode(view: View) -> Photo:
     """Read a view's photo at its camera's size: [3, H, W], or if pixels do not count [4, H, W] with
     a plane that is 0 there and 255 elsewhere."""
     planes, row = np.empty(photo_array(view).shape, np.uint8), 0
@@ -64,7 +76,7 @@ def decode(view: View) -> NDArray[np.uint8]:
     return planes
 
 
-def decoded(views: Iterable[View]) -> Iterator[NDArray[np.uint8]]:
+def decoded(views: Iterable[View]) -> Iterator[Photo]:
     """Yield `decode` of each view, from a few threads; InputError at a damaged photo."""
     views = list(views)
     most = at_once(views, 2 * THREADS + 1, HOST_BYTES)
@@ -139,6 +151,122 @@ def photo_array(view: View) -> ArraySpec:
     return ArraySpec((planes, view.camera.height, view.camera.width), np.uint8)
 
 
+class Thumbnails:
+    """Photos of at most SMALL_SIDE pixels, which are decoded when they are first asked for.
+
+    Parameters
+    ----------
+    views : the training views.
+    """
+
+    def __init__(self, views: Sequence[View]) -> None:
+        self.views = tuple(views)
+        self._photos: dict[tuple[int, int, int], Photo] = {}
+
+    def of(self, indices: Iterable[int]) -> tuple[tuple[View, ...], Iterator[Photo]]:
+        """Some of the views, with small cameras, and their photos as `photos.decode` returns them.
+
+        All are smaller by one factor. Photos are decoded once the first is asked for.
+        """
+        indices = list(indices)
+        small = with_side([self.views[index] for index in indices], SMALL_SIDE)
+        return small, self._read(indices, small)
+
+    def _read(self, indices: list[int], small: tuple[View, ...]) -> Iterator[Photo]:
+        keys = [(index, view.camera.width, view.camera.height)
+                for index, view in zip(indices, small)]
+        new = {key: view for key, view in zip(keys, small) if key not in self._photos}
+        self._photos |= zip(new, decoded(new.values()))
+        yield from (self._photos[key] for key in keys)
+
+    def sampled(self, most: int) -> tuple[tuple[View, ...], Iterator[Photo]]:
+        """`of` at most so many evenly spaced views."""
+        return self.of(range(0, len(self.views), -(-len(self.views) // most)))
+
+
+class PhotoStore:
+    """Decodes photos in threads, from the first to the last, and keeps them.
+
+    The file has no name, so the system removes it however the process ends. Photos for which there
+    is neither memory nor space are decoded at each use.
+
+    Parameters
+    ----------
+    sizes : bytes of each photo, or more.
+    decode : called with a photo's index; returns it, uint8[channels, H, W].
+    threads : that decode.
+    folder : of the file; None: the system's folder for temporary files.
+
+    Attributes
+    ----------
+    count : how many photos are kept, which are the first.
+    """
+
+    def __init__(self, sizes: Sequence[int], decode: Callable[[int], Photo],
+                 threads: int, folder: Path | None = None) -> None:
+        ends = np.cumsum(sizes)
+        self._decode, self._in_memory = decode, int((ends <= MEMORY_BYTES).sum())
+        self.count, self._lock = self._in_memory, Lock()
+        self._file: BufferedRandom | None = None
+        self._begins = (ends - sizes - ends[self._in_memory - 1] * (self._in_memory > 0)).tolist()
+        if self._in_memory < len(sizes):
+            self._open_file(folder or Path(tempfile.gettempdir()), np.append(
+                self._begins[self._in_memory + 1:], self._begins[-1] + sizes[-1]))
+        self._threads = ThreadPoolExecutor(threads)
+        self._photos: list[Future[Kept]] = [
+            self._threads.submit(self._keep, i) for i in range(self.count)]
+
+    def _open_file(self, folder: Path, ends: NDArray[np.int64]) -> None:
+        try:
+            fits = int((ends <= DISK_SHARE * shutil.disk_usage(folder).free).sum())
+            if fits:
+                self._file = tempfile.TemporaryFile(dir=folder)
+                self.count += fits
+        except OSError:
+            pass  # a folder that cannot be written
+
+    def _keep(self, index: int) -> Kept:
+        photo = self._decode(index)
+        if index < self._in_memory:
+            return photo
+        try:
+            with self._lock:
+                assert self._file is not None
+                self._file.seek(self._begins[index])
+                self._file.write(photo.data)
+        except (OSError, ValueError):  # the disk is full, or the store closed
+            return None
+        return photo.shape
+
+    def wait(self) -> None:
+        """Wait until all photos that are kept are decoded; InputError at a damaged one."""
+        for photo in self._photos:
+            photo.result()
+
+    def read(self, index: int) -> Photo:
+        """A photo, as `decode` returns it, once it is decoded; its errors."""
+        kept = self._photos[index].result() if index < self.count else None
+        if isinstance(kept, np.ndarray):
+            return kept
+        if kept is not None:
+            photo = np.empty(kept, np.uint8)
+            with self._lock:
+                assert self._file is not None
+                self._file.seek(self._begins[index])
+                if self._file.readinto(photo.data) == photo.nbytes:
+                    return photo
+        return self._decode(index)
+
+    def close(self) -> None:
+        """Drop all photos, and remove the file."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        self._photos = []
+        self.count = 0
+        with self._lock:
+            if self._file is not None:
+                self._file.close()
+
+
 class Photos:
     """`photos[i]` is view i's photo at the present level on the device, as `decode` returns it.
 
@@ -174,7 +302,7 @@ class Photos:
         self._budget = (DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None
                         else budget_bytes)
         self._threads = ThreadPoolExecutor(1)
-        self._ahead: dict[int, Future[NDArray[np.uint8]]] = {}
+        self._ahead: dict[int, Future[Photo]] = {}
         self._store: PhotoStore | None = None  # of a level that is not resident
         self._next: tuple[float, PhotoStore] | None = None  # (level, its photos)
         self.level = 0.0  # none yet
@@ -261,11 +389,11 @@ class Photos:
             _leave_out(mask, ignored)
             array.write(mask[None], 3)
 
-    def unweighed(self, index: int) -> NDArray[np.uint8]:
+    def unweighed(self, index: int) -> Photo:
         """A view's photo as `decode` returns it, where pixels are left out by its own mask only."""
         if self._store:
             return self._store.read(index)
-        photo: NDArray[np.uint8] = self._arrays[index].download()
+        photo: Photo = self._arrays[index].download()
         photo[3] = _own_mask(self.views[index])
         return photo
 
@@ -276,7 +404,7 @@ class Photos:
         self._close(self._next[1] if self._next else None)
 
 
-def _own_mask(view: View) -> NDArray[np.uint8]:
+def _own_mask(view: View) -> Photo:
     """The last plane of `decode` of a view that is `weighed`."""
     valid = read_valid(view)
     if valid is None:
@@ -284,7 +412,7 @@ def _own_mask(view: View) -> NDArray[np.uint8]:
     return valid * np.uint8(255)
 
 
-def _leave_out(mask: NDArray[np.uint8], ignored: Cells) -> None:
+def _leave_out(mask: Photo, ignored: Cells) -> None:
     mask[spread(ignored, *mask.shape)] = 0
 
 

@@ -11,8 +11,7 @@ from clsplat.report.scores import is_upheaval
 from clsplat.training.clock import Clock
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
-from clsplat.training.skipped_gradients import TOO_MANY
-from clsplat.training.step import Measured
+from clsplat.training.step import TOO_MANY, Measured
 
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
 LOG_EVERY = 100

@@ -27,7 +27,7 @@ from clsplat.training.parts import parts_of
 from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.photos import Photos, decoded
 from clsplat.training.progress import SilentProgress
-from clsplat.training.start.dense_start import first_gaussians
+from clsplat.training.start.initialise import first_gaussians
 from clsplat.training.start.prepare import PreparedScene, prepare
 from clsplat.training.step import Step
 from clsplat.training.units import MOST_PENDING

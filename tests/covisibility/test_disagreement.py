@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from clsplat.covisibility.disagreement import colour_disagreement
-from clsplat.training.start import facts, thumbnails
-from clsplat.training.start.thumbnails import Thumbnails
+from clsplat.training import photos
+from clsplat.training.photos import Thumbnails
+from clsplat.training.start import prepare as module
 from tests.covisibility.test_source_views import circle
 
 SIDE = 512
@@ -74,32 +75,32 @@ def test_where_nothing_is_known(scene):
 def read(monkeypatch):
     """The names of the photos that were read; there are none."""
     names = []
-    monkeypatch.setattr(thumbnails, "decoded", lambda views: [
+    monkeypatch.setattr(photos, "decoded", lambda views: [
         names.append(view.name) or view.name for view in views])
     return names
 
 
 def test_photos_are_sampled_in_runs_that_show_the_same_places(monkeypatch, read):
     chosen = []
-    monkeypatch.setattr(facts, "colour_disagreement",
+    monkeypatch.setattr(module, "colour_disagreement",
                         lambda scene, views, photos: chosen.extend(views) or 0.01)
     many = circle(*range(100), names=[f"{number:03d}" for number in range(100)])
-    assert facts._disagreement(many, Thumbnails(many.views)) == 0.01
+    assert module._disagreement(many, Thumbnails(many.views)) == 0.01
     numbers = np.array([int(view.name) for view in chosen])
     assert len(numbers) == 48 == len(set(numbers)) and {numbers[0], numbers[-1]} == {0, 99}
     assert (np.diff(numbers) == 1).sum() == 44
     chosen.clear()
-    facts._disagreement(many, Thumbnails(many.views[:48]))
+    module._disagreement(many, Thumbnails(many.views[:48]))
     assert [view.name for view in chosen] == [view.name for view in many.views[:48]]
 
 
 def test_the_photos_of_a_scene_are_compared_and_read_once(monkeypatch, read):
     asked = []
-    monkeypatch.setattr(facts, "colour_disagreement",
+    monkeypatch.setattr(module, "colour_disagreement",
                         lambda scene, views, photos: asked.append(list(photos)) or 0.01)
     scene = circle(0, 5, 10, 15)
     names, small = [view.name for view in scene.views], Thumbnails(scene.views)
-    found = facts.scene_facts(scene, scene.views, small)
+    found = module.scene_facts(scene, scene.views, small)
     assert list(small.sampled(2)[1]) == names[::2] == read
     assert found.disagreement() == found.disagreement() == 0.01
     assert asked == [names] and sorted(read) == sorted(names)
@@ -110,8 +111,8 @@ def test_how_many_photos_show_a_point():
     scene = circle(0, 5, 10, 15)
     pairs = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (2, 3)]
     scene = replace(scene, observations=np.array(pairs))
-    assert facts.scene_facts(scene, scene.views).shown_in == 3.0
-    assert facts.scene_facts(scene, scene.views[:2]).shown_in == 2.0
-    assert np.isnan(facts.scene_facts(scene, scene.views[:1]).shown_in)
+    assert module.scene_facts(scene, scene.views).shown_in == 3.0
+    assert module.scene_facts(scene, scene.views[:2]).shown_in == 2.0
+    assert np.isnan(module.scene_facts(scene, scene.views[:1]).shown_in)
     unknown = replace(scene, observations=None)
-    assert np.isnan(facts.scene_facts(unknown, unknown.views).shown_in)
+    assert np.isnan(module.scene_facts(unknown, unknown.views).shown_in)

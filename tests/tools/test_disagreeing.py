@@ -8,7 +8,7 @@ import pytest
 from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
 from clsplat.placement.corrections import correction_between
-from clsplat.training.start.facts import scene_facts
+from clsplat.training.start.prepare import scene_facts
 from tools.studies.disagreeing import main, with_other_poses
 
 CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"

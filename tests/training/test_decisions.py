@@ -17,17 +17,18 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.schedule import planned_steps, scaled_steps
 from clsplat.schedule.sig import AGREEING, ENOUGH, FEWEST
+from clsplat.training import photos
 from clsplat.training.parts import exposures, reprojection
 from clsplat.training.parts.exposures import SAMPLED_PHOTOS
-from clsplat.training.start import facts, thumbnails
-from clsplat.training.start.decisions import (
+from clsplat.training.photos import SMALL_SIDE
+from clsplat.training.start import prepare as module
+from clsplat.training.start.prepare import (
     SHINE,
     VISIBLE,
     find_decisions,
     needed_degree,
+    smallest_size,
 )
-from clsplat.training.start.facts import smallest_size
-from clsplat.training.start.thumbnails import SMALL_SIDE
 from tests.covisibility.test_source_views import circle
 from tests.data.tiny_training import CITY
 
@@ -52,7 +53,7 @@ def drift(monkeypatch):
             seen.append((views, photos, points))
             return value
         monkeypatch.setattr(exposures, "exposure_drift", measure)
-        monkeypatch.setattr(facts, "colour_disagreement", lambda *_: math.nan)
+        monkeypatch.setattr(module, "colour_disagreement", lambda *_: math.nan)
         return seen
     return set_to
 
@@ -85,7 +86,7 @@ def test_the_number_of_steps_follows_the_photos(photos, steps):
 def test_more_steps_than_the_photos_allow_are_not_taken(city, drift, monkeypatch, photos, differ,
                                                        most):
     drift(0.0)
-    monkeypatch.setattr(facts, "colour_disagreement", lambda *_: differ)
+    monkeypatch.setattr(module, "colour_disagreement", lambda *_: differ)
     city = replace(city, views=(4 * city.views)[:photos], observations=None)
     decided = partial(found, city, init="sfm")  # no photos are compared for dense points
     result = decided(iterations=30_000)
@@ -122,8 +123,8 @@ def test_exposures_are_learned_where_photos_drift(city, drift, measured, answer)
 
 def test_the_city_does_not_drift_until_its_photos_are_darkened(city, monkeypatch):
     assert found(city).options.exposure == "off"
-    read = thumbnails.decoded
-    monkeypatch.setattr(thumbnails, "decoded", lambda views: (
+    read = photos.decoded
+    monkeypatch.setattr(photos, "decoded", lambda views: (
         (photo * (0.6 if i % 2 else 1)).astype(np.uint8) for i, photo in enumerate(read(views))))
     assert found(city).options.exposure == "on"
 
@@ -335,5 +336,5 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatc
     assert engine(2.98 * of_file, **started).options.engine == "numpy"
     assert find_decisions(city, city.views, options).options.engine == "auto"
     # dash, which looks at every photo when training begins, does not for this
-    monkeypatch.setattr(facts, "decoded", None)
+    monkeypatch.setattr(module, "decoded", None)
     assert engine(1e9, schedule="dash").options.engine == "device"

@@ -12,7 +12,7 @@ from clsplat.options import resolve
 from clsplat.stereo.dense_points import stereo_views
 from clsplat.training import session
 from clsplat.training.progress import SilentProgress
-from clsplat.training.start.dense_start import (
+from clsplat.training.start.initialise import (
     LEAST_SECONDS,
     LEAST_STEPS,
     chosen_start,

@@ -8,10 +8,10 @@ from clsplat.errors import InputError
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
-from clsplat.training import checkpoint, loop, recorder, skipped_gradients, step
+from clsplat.training import checkpoint, loop, recorder, step
 from clsplat.training.parts import image_term
 from clsplat.training.progress import SilentProgress
-from clsplat.training.skipped_gradients import SkippedGradients
+from clsplat.training.step import SkippedGradients
 from tests.data.tiny_model import write_scene
 from tests.data.tiny_training import model_digest, records
 
@@ -203,7 +203,7 @@ def test_how_many_are_too_many(train, poison, monkeypatch):
         train()
     many, asked = (int(word.replace(",", "")) for word in
                    str(caught.value).partition(": ")[2].split()[0:3:2])
-    assert 0 < many < asked and skipped_gradients.TOO_MANY == recorder.TOO_MANY == 0.01
+    assert 0 < many < asked and step.TOO_MANY == recorder.TOO_MANY == 0.01
     for limit, folder in ((many / asked, "below"), (0.999 * many / asked, "above")):
         monkeypatch.setattr(recorder, "TOO_MANY", limit)
         poison(13, 13)

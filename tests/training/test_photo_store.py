@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.training import photo_store
-from clsplat.training.photo_store import PhotoStore
+from clsplat.training import photos as photo_files
+from clsplat.training.photos import PhotoStore
 
 PHOTOS = [np.random.default_rng(i).integers(0, 256, (3 + (i == 2), 5 + i, 7), np.uint8)
           for i in range(6)]
@@ -20,7 +20,7 @@ SIZES = [photo.nbytes + 9 for photo in PHOTOS]  # of which masks may turn out to
 @pytest.fixture
 def decodes(monkeypatch):
     """Indices of the photos decoded so far; two photos may stay in memory."""
-    monkeypatch.setattr(photo_store, "MEMORY_BYTES", sum(SIZES[:3]) - 1)
+    monkeypatch.setattr(photo_files, "MEMORY_BYTES", sum(SIZES[:3]) - 1)
     return []
 
 
@@ -50,7 +50,7 @@ def test_photos_wait_in_memory_and_in_a_file_without_a_name(decodes, tmp_path):
 @pytest.mark.parametrize("kept", [2, 4])
 def test_what_has_no_place_is_decoded_at_each_use(decodes, tmp_path, monkeypatch, kept):
     free = type("Usage", (), {"free": 4 * sum(SIZES[2:kept])})
-    monkeypatch.setattr(photo_store.shutil, "disk_usage", lambda folder: free)
+    monkeypatch.setattr(photo_files.shutil, "disk_usage", lambda folder: free)
     store = store_of(decodes, tmp_path)
     store.wait()
     assert store.count == kept and sorted(decodes) == [*range(kept)]

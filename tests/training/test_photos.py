@@ -14,7 +14,6 @@ from clsplat.errors import InputError
 from clsplat.io.photos.images import read_image, write_image
 from clsplat.io.photos.views import photo_bands
 from clsplat.scene import View
-from clsplat.training import photo_store
 from clsplat.training import photos as module
 from clsplat.training.photos import Photos, decoded, epoch_order
 
@@ -50,8 +49,8 @@ def reads(monkeypatch):
 @pytest.fixture
 def no_room(monkeypatch):
     """Neither memory nor disk for photos that wait."""
-    monkeypatch.setattr(photo_store, "MEMORY_BYTES", 0)
-    monkeypatch.setattr(photo_store, "DISK_SHARE", 0)
+    monkeypatch.setattr(module, "MEMORY_BYTES", 0)
+    monkeypatch.setattr(module, "DISK_SHARE", 0)
 
 
 def all_at(width):

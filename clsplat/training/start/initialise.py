@@ -1,24 +1,42 @@
-"""The initial gaussians and responses of a training."""
+"""The gaussians at which a training begins: at sparse or dense points, at random, or a file's."""
+
+from __future__ import annotations
 
 import os
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.config.option import AUTO, is_auto
+from clsplat.densify.options import GrowthOptions
 from clsplat.densify.sphere import with_spheres
+from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.formats import count_of, is_model, read_model
 from clsplat.io.models.quantise import morton_order
 from clsplat.io.scenes.options import SceneOptions
-from clsplat.options import TrainOptions
-from clsplat.scene import Scene
+from clsplat.options import TrainOptions, seconds_of
+from clsplat.scene import Scene, View
 from clsplat.schedule import SceneFacts, schedule_of
+from clsplat.stereo.dense_points import SIDE, dense_points, sweep_seconds
+from clsplat.training.photos import decoded, with_side
+from clsplat.training.progress import SilentProgress
+
+if TYPE_CHECKING:
+    from clsplat.training.start.prepare import PreparedScene
 
 POINTS = ("sfm", "dense", "random")  # at which training begins where --init names no file
 FEWEST_GAUSSIANS = 2  # their distance gives new gaussians a size
+OF_THE_LIMIT = 0.8  # of the gaussians that the training may end with; growth places the rest
+PIXELS_A_POINT = 40  # of the training photos, where the schedule has no limit
+LEAST_OVERLAP = 0.5  # of the photos, that can be compared with others
+# in a shorter training stereo would take most of the time, on a CPU
+LEAST_STEPS, LEAST_SECONDS = 20, 2.0  # for each photo; the second of a time budget
 
 
 def initial_gaussians(scene: Scene, options: TrainOptions,
@@ -83,3 +101,94 @@ def planned_initial(facts: SceneFacts, options: SceneOptions) -> SceneFacts:
     if points or not (os.path.exists(options.init) and is_model(options.init)):
         return facts
     return replace(facts, count=count_of(options.init))
+
+
+def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions,
+                 compared: Callable[[], Sequence[Sequence[int]]]) -> tuple[str, str]:
+    """(the value of `init` that is used, the reason); InputError where dense points were requested
+    and cannot be had.
+
+    Parameters
+    ----------
+    scene : at the size of training.
+    views : the training views of the scene.
+    options : with scaled steps.
+    compared : returns their `stereo_views`; called only where these matter.
+    """
+    dense = options.init == "dense"
+    if not dense and not is_auto(options.init):
+        return options.init, f"{options.init}: requested"
+    if not dense:
+        if not schedule_of(options.schedule).begins_dense:
+            return "sfm", f"sfm: the sparse points, as --schedule {options.schedule} is published"
+        if options.coarse:
+            return "sfm", "sfm: the sparse points, in the coarse run of a city"
+        if options.snapshots:  # distant views are drawn by these
+            return "sfm", "sfm: the sparse points, so that snapshots of coarser levels are small"
+        if options.time_budget and seconds_of(options.time_budget) < LEAST_SECONDS * len(views):
+            return "sfm", (f"sfm: the sparse points; dense ones need a time budget of "
+                           f"{LEAST_SECONDS:g} s for each of {len(views)} photos")
+        if options.iterations < LEAST_STEPS * len(views):
+            return "sfm", (f"sfm: the sparse points; dense ones need {LEAST_STEPS} steps for each "
+                           f"of {len(views)} photos")
+    overlap = sum(map(bool, compared()))
+    counted = f"{overlap} of {len(views)} photos can be compared with two others"
+    if dense:
+        if not overlap:
+            raise InputError(f"{scene.name}: --init dense needs three photos that share sparse "
+                             "points; there are none: use --init sfm")
+        return "dense", f"dense: requested; {counted}"
+    if overlap < LEAST_OVERLAP * len(views):
+        return "sfm", f"sfm: the sparse points, as only {counted}"
+    return "dense", f"dense: {counted}"
+
+
+def planned_count(limit: int | None, pixels: int, options: GrowthOptions) -> int:
+    """How many dense points are wanted.
+
+    Parameters
+    ----------
+    limit : number of gaussians that the schedule may end with; None: any.
+    pixels : in all training photos.
+    """
+    most = pixels // PIXELS_A_POINT if limit is None else limit
+    if options.max_gaussians:
+        most = min(most, options.max_gaussians)
+    return max(1, int(OF_THE_LIMIT * most))
+
+
+def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentProgress
+                    ) -> tuple[Gaussians, float]:
+    """The initial gaussians of a training, and the seconds that it took to find them.
+
+    Parameters
+    ----------
+    device : of the training; the compilation of its kernels does not count.
+    prepared : the scene, with all decisions.
+    progress : receives what is being done.
+    """
+    began = time.perf_counter() - device.build_seconds
+    dense = _dense(device, prepared, progress) if prepared.options.init == "dense" else None
+    gaussians = initial_gaussians(prepared.scene, prepared.options, dense)
+    return gaussians, time.perf_counter() - device.build_seconds - began
+
+
+def _dense(device: Device, prepared: PreparedScene, progress: SilentProgress
+           ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """As many dense points as the decisions say, and their colours."""
+    small = with_side(prepared.train_views, SIDE)
+    progress.phase("finding dense points: reading photos")
+    photos = list(decoded(small))
+    return dense_points(
+        device, prepared.scene, small, photos, prepared.decisions.facts.count,
+        lambda done: progress.phase(f"finding dense points: photo {done} of {len(small)}"),
+        prepared.decisions.compared)
+
+
+def start_seconds(device: Device, prepared: PreparedScene) -> float:
+    """About how long it will take to find the initial gaussians; the arguments are those of
+    `first_gaussians`."""
+    if prepared.options.init != "dense":
+        return 0.0
+    return sweep_seconds(device, prepared.scene, with_side(prepared.train_views, SIDE),
+                         lambda views: list(decoded(views)))

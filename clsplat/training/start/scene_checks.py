@@ -12,7 +12,7 @@ from clsplat.camera import Camera
 from clsplat.constants import ALPHA_STEPS
 from clsplat.covisibility.exposure_drift import LUMA
 from clsplat.scene import LEAST_PARALLAX, Scene, View
-from clsplat.training.start.thumbnails import Thumbnails
+from clsplat.training.photos import Thumbnails
 
 SAMPLED_PHOTOS = 16
 SAMPLED_POINTS = 10_000

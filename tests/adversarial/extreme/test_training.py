@@ -10,9 +10,9 @@ from clsplat.errors import InputError
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.training import step
 from clsplat.training.frequency import scene_frequency
+from clsplat.training.photos import Thumbnails
 from clsplat.training.start.initialise import initial_gaussians
 from clsplat.training.start.scene_checks import find_warnings
-from clsplat.training.start.thumbnails import Thumbnails
 from tests.adversarial.extreme import stiff
 from tests.adversarial.extreme.stiff import CASES, rescaled
 from tests.data.tiny_training import LEVELLED, options_of, records, trained
