@@ -1,4 +1,4 @@
-"""Every public function of the package has types and a docstring."""
+"""Every public function of the package has types and a docstring, its own or an inherited one."""
 
 import ast
 
@@ -17,7 +17,16 @@ def public_functions(tree, inside=()):
             yield ".".join((*inside, node.name)), node, bool(inside)
 
 
-def lacking(name, node, is_method):
+def documented(classes, name):
+    """The methods of a class that it or one of its base classes documents."""
+    if name not in classes:
+        return set()
+    own = {each.name for each in classes[name].body
+           if isinstance(each, ast.FunctionDef) and ast.get_docstring(each)}
+    return own.union(*(documented(classes, ast.unparse(base)) for base in classes[name].bases))
+
+
+def lacking(name, node, is_method, classes):
     """What a public function lacks: words for a message."""
     arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
     static = any(ast.unparse(word) == "staticmethod" for word in node.decorator_list)
@@ -26,15 +35,19 @@ def lacking(name, node, is_method):
             yield f"{name}: its argument '{argument.arg}' has no type"
     if node.returns is None and node.name != "__init__":
         yield f"{name}: what it returns has no type"
-    if not ast.get_docstring(node) and node.name != "__init__":
+    if not ast.get_docstring(node) and node.name != "__init__" and (
+            not is_method or node.name not in documented(classes, name.split(".")[-2])):
         yield f"{name}: has no docstring"
 
 
 def all_lacking(root):
     """A line for each thing that a public function of clsplat/ lacks."""
-    for path_name, path in sources(root, "clsplat"):
-        for name, node, is_method in public_functions(ast.parse(path.read_text("utf-8"))):
-            for text in lacking(name, node, is_method):
+    trees = {name: ast.parse(path.read_text("utf-8")) for name, path in sources(root, "clsplat")}
+    classes = {node.name: node for tree in trees.values() for node in ast.walk(tree)
+               if isinstance(node, ast.ClassDef)}
+    for path_name, tree in trees.items():
+        for name, node, is_method in public_functions(tree):
+            for text in lacking(name, node, is_method, classes):
                 yield f"{path_name}:{node.lineno}: {text}"
 
 
@@ -57,6 +70,8 @@ def test_what_lacks_is_noticed(tmp_path, source, complaint):
 
 
 @pytest.mark.parametrize("source", [
+    "class A:\n    def read(self) -> int:\n        'Read.'\nclass B(A):\n"
+    "    def read(self) -> int:\n        return 1",
     "def _read(path): ...", "class _Scene:\n    def read(self, path): ...",
     "class Scene:\n    def __init__(self): ...\n    def read(self) -> int:\n        'Read.'"])
 def test_what_is_private_or_whole_passes(tmp_path, source):

@@ -28,7 +28,7 @@ from clsplat.io.scenes.read import fingerprint
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
 from clsplat.schedule import Plan
-from clsplat.training.budget import Deadline
+from clsplat.training.budget import Deadline, evaluation_seconds
 from clsplat.training.checkpoint import Checkpoint, Saved, saved_gaussians
 from clsplat.training.clock import Clock
 from clsplat.training.evaluator import Evaluator
@@ -176,8 +176,9 @@ class Training:
                                      parts)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
-        self.deadline = (Deadline(self.session, self.clock, self.evaluator.final_metrics)
-                         if options.time_budget else None)
+        self.deadline = Deadline(
+            self.session, self.clock, *evaluation_seconds(
+                self.session, self.evaluator.final_metrics)) if options.time_budget else None
         self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline,
                                      fingerprint(scene))
         self._visits = self.session.visits()
@@ -315,12 +316,10 @@ class Training:
         frequency, decision = self._observe()
         if deadline:
             deadline.estimate()
-        if self.finished():
-            self._end_well()
-        elif self._evaluates():  # the last evaluation follows the saved model
+        if not self.finished() and self._evaluates():  # the last one follows the saved model
             self.evaluator.evaluate()
             if deadline:
-                deadline.budget.evaluation_seconds = self.evaluator.latest_seconds
+                deadline.evaluation_seconds = self.evaluator.latest_seconds
         self.recorder.stepped(self._measured, frequency)
         if decision:  # after all that belongs to the step, which was taken at the level before
             self.recorder.log("level", **decision)
@@ -374,17 +373,8 @@ class Training:
         if self.session.iteration in options.eval_at:
             return True
         if deadline and is_auto(options.eval_every):
-            return deadline.budget.evaluates(self.clock.elapsed())
+            return deadline.evaluates()
         return self.evaluator.is_due()
-
-    def _end_well(self) -> None:
-        """Return to an earlier model if the last one had no time to recover."""
-        since = self.deadline.rolled_back() if self.deadline else None
-        if since is not None:
-            self.recorder.log("restored", since=since)
-            self.progress.message(
-                f"the time ended {self.session.iteration - since} steps after opacities were "
-                "lowered or a level began: the model from before that is kept, it was better")
 
     def _saves(self) -> bool:
         """Whether a checkpoint follows the latest step, other than the last."""

@@ -45,20 +45,12 @@ State = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Decision:
-    """A decision that was made before training.
-
-    Attributes
-    ----------
-    value : what is used.
-    reason : sentence that begins with the value and gives the number behind it.
-    requested : whether an option decided instead of the scene.
-    found : what the search for the decision found besides, for the part that needs it.
-    """
+    """A decision that was made before training."""
 
     value: Any
-    reason: str
-    requested: bool = False
-    found: Any = None
+    reason: str  # a sentence that begins with the value and gives the number behind it
+    requested: bool = False  # whether an option decided instead of the scene
+    found: Any = None  # what the search for the decision found besides, for the part that needs it
 
 
 def requested(value: Any) -> Decision:
@@ -67,74 +59,44 @@ def requested(value: Any) -> Decision:
 
 
 class Survey(NamedTuple):
-    """What decisions are made from.
+    """What decisions are made from."""
 
-    Attributes
-    ----------
-    scene : the scene at the size of training.
-    views : its training views.
-    options : the options as the user gave them.
-    thumbnails : small photos of the views.
-    """
-
-    scene: Scene
-    views: Sequence[View]
-    options: TrainOptions
-    thumbnails: Thumbnails
+    scene: Scene  # at the size of training
+    views: Sequence[View]  # its training views
+    options: TrainOptions  # as the user gave them
+    thumbnails: Thumbnails  # small photos of the views
 
 
 class Now(NamedTuple):
-    """A step, as all its views see it.
+    """A step, as all its views see it."""
 
-    Attributes
-    ----------
-    iteration : its number, from 1.
-    plan : the schedule's decisions for it.
-    progress : the share of the run's steps that were taken before it, 0 to 1.
-    rates : field of the gaussians -> learning rate.
-    """
-
-    iteration: int
-    plan: Plan
-    progress: float
-    rates: Mapping[str, float]
+    iteration: int  # from 1
+    plan: Plan  # the schedule's decisions for it
+    progress: float  # the share of the run's steps that were taken before it, 0 to 1
+    rates: Mapping[str, float]  # field of the gaussians -> learning rate
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingSample:
-    """One view of a training step.
+    """One view of a training step."""
 
-    Attributes
-    ----------
-    view : index of the training view.
-    camera : real[27], packed, as it was given.
-    photo : uchar[3, H, W], or uchar[4, H, W] with a mask (cl/image_loss.cl).
-    own_mask : whether a mask of the photo is its own; one that has outliers only does not change
-        which gaussians the view sees.
-    number : how many views have been trained on, with this one.
-    """
-
-    view: int
-    camera: Array
-    photo: Array
+    view: int  # index of the training view
+    camera: Array  # real[27], packed, as it was given
+    photo: Array  # uchar[3, H, W], or uchar[4, H, W] with a mask (cl/image_loss.cl)
+    # whether a mask of the photo is its own; one that has outliers only does not change which
+    # gaussians the view sees
     own_mask: bool = True
-    number: int = 1
+    number: int = 1  # how many views have been trained on, with this one
 
 
 @dataclass(eq=False)
 class FrameGradient:
-    """Gradients of a loss by the channels of a frame; None is zero.
+    """Gradients of a loss by the channels of a frame; None is zero."""
 
-    Attributes
-    ----------
-    image : real[3, H, W], by the image that is compared with the photo, and after `adjoint` by the
-        rendered one.
-    depth, transmittance : real[H, W].
-    """
-
+    # real[3, H, W], by the image that is compared with the photo; after `adjoint` by the rendered
     image: Array | None = None
-    depth: Array | None = None
-    transmittance: Array | None = None
+    depth: Array | None = None  # real[H, W]
+    transmittance: Array | None = None  # real[H, W]
 
     def add(self, **gradients: Array) -> None:
         """Add gradients, by the names above; this object may overwrite them from now on."""
@@ -148,34 +110,20 @@ class FrameGradient:
 
 @dataclass(eq=False)
 class ViewPass:
-    """The forward and the backward pass of one view, as far as they have come.
+    """The forward and the backward pass of one view, as far as they have come."""
 
-    Attributes
-    ----------
-    view : index of the training view; an input of the recording.
-    given : real[27], the packed camera of the scene.
-    camera : real[27], the one that is rendered: `given`, unless a part corrects it.
-    photo : uchar[3 or 4, H, W].
-    rows : field of the gaussians -> real[N, *row shape].
-    counts : uint[FRAME_COUNTS]; no hook may change what outlives a frame that has failed.
-    frozen : uint[N], not 0 for gaussians that are not trained; None: all are.
-    exposure : what `Renderer.render` makes the compared image with; None: nothing.
-    frame : the rendered view, from `add_to` on.
-    grad : the gradient of the loss by the frame.
-    gradients : the gradients by the gaussians, from `learn` on.
-    """
-
-    view: int
-    given: Array
-    camera: Array
-    photo: Array
-    rows: Mapping[str, Array]
+    view: int  # index of the training view; an input of the recording
+    given: Array  # real[27], the packed camera of the scene
+    camera: Array  # real[27], the one that is rendered: `given`, unless a part corrects it
+    photo: Array  # uchar[3 or 4, H, W]
+    rows: Mapping[str, Array]  # field of the gaussians -> real[N, *row shape]
+    # uint[FRAME_COUNTS]; no hook may change what outlives a frame that has failed
     counts: Array
-    frozen: Array | None = None
-    exposure: Exposure | None = None
-    frame: Frame = field(init=False)
+    frozen: Array | None = None  # uint[N], not 0 for gaussians that are not trained; None: all are
+    exposure: Exposure | None = None  # what `Renderer.render` makes the compared image with
+    frame: Frame = field(init=False)  # the rendered view, from `add_to` on
     grad: FrameGradient = field(default_factory=FrameGradient)
-    gradients: Gradients = field(init=False)
+    gradients: Gradients = field(init=False)  # by the gaussians, from `learn` on
 
 
 class Part:
@@ -184,31 +132,23 @@ class Part:
     `session` is the state of the training (training/session.py), `prepared` its scene with all
     decisions, and `survey` what decisions are made from. In a step, `now` is the step as all its
     views see it, `sample` and `work` are a view of it, and `inputs` what `inputs` returned for it.
-
-    Attributes
-    ----------
-    name : key of its state in checkpoints, and of its records.
-    Options : frozen dataclass of its own options (config/option.py), or None.
-    needs_depth : whether frames need a depth channel; only then may the loss have a gradient by
-        depth or transmittance.
-    needs_pose : whether `ViewPass.gradients` need pose terms.
-    waits : whether a hook in a step waits for the device, to read an array or to write one from the
-        host; steps with such a part are not recorded, and so are slower.
-    resident : whether the arrays among its inputs stay on the device.
-    is_stage : whether it makes the training a stage of a larger one, which decides the number of
-        steps and shows the result: then there is no evaluation, no report, and in the end no
-        checkpoint.
-    skipped : uint[1] on the device, how many of its gradients, one a view, were not finite; None:
-        it learns nothing.
     """
 
-    name: ClassVar[str]
-    Options: ClassVar[type | None] = None
+    name: ClassVar[str]  # key of its state in checkpoints, and of its records
+    Options: ClassVar[type | None] = None  # frozen dataclass of its own (config/option.py)
+    # whether frames need a depth channel; only then may the loss have a gradient by depth or
+    # transmittance
     needs_depth: ClassVar[bool] = False
-    needs_pose: ClassVar[bool] = False
+    needs_pose: ClassVar[bool] = False  # whether `ViewPass.gradients` need pose terms
+    # whether a hook in a step waits for the device, to read an array or to write one from the host;
+    # steps with such a part are not recorded, and so are slower
     waits: ClassVar[bool] = False
+    # whether it makes the training a stage of a larger one, which decides the number of steps and
+    # shows the result: then there is no evaluation, no report, and in the end no checkpoint
     is_stage: ClassVar[bool] = False
-    resident: bool = True
+    resident: bool = True  # whether the arrays among its inputs stay on the device
+    # uint[1] on the device, how many of its gradients, one a view, were not finite; None: it learns
+    # nothing
     skipped: Array | None = None
 
     # --- before the first step
@@ -225,28 +165,16 @@ class Part:
 
     def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View],
               gaussians: Gaussians | None) -> SceneFacts:
-        """Restrict what the schedule is given of the scene to what is trained.
-
-        Parameters
-        ----------
-        facts : of the whole scene.
-        scene : at the size of training.
-        views : its training views.
-        gaussians : the initial ones; None: they are not known yet.
-        """
+        """Restrict what the schedule is given of the scene and its training `views` to what is
+        trained. `gaussians` are the initial ones; None: they are not known yet."""
         return facts
 
     def begin(self, session: Session) -> None:
         """Allocate what it needs; `session` has photos, and no gaussians yet."""
 
     def rows_changed(self, model: Model, growth: Growth | None) -> None:
-        """Follow a change of the rows of gaussians.
-
-        Parameters
-        ----------
-        model : after the change.
-        growth : the round that made them; None: they are the initial ones, or have moved since.
-        """
+        """Follow a change of the rows of gaussians, after it. `growth` is the round that made them;
+        None: they are the initial ones, or have moved since."""
 
     def visits(self, views: Sequence[View]) -> NDArray[Any] | None:
         """How often each of `views` is trained on, in any unit; None: as often as every other."""
@@ -275,12 +203,8 @@ class Part:
         return {}
 
     def read_ahead(self, plan: Plan, view: int, number: int) -> Sequence[int]:
-        """Views whose photos `inputs` will need besides the view itself.
-
-        Parameters
-        ----------
-        plan, view, number : as in `Now` and `TrainingSample`.
-        """
+        """Views whose photos `inputs` will need besides the view itself; the arguments are as in
+        `Now` and `TrainingSample`."""
         return ()
 
     def camera(self, work: ViewPass, inputs: Inputs) -> None:
@@ -290,12 +214,8 @@ class Part:
         """Set `work.exposure`."""
 
     def add_to(self, work: ViewPass, inputs: Inputs) -> Any:
-        """Add the gradient of a term of the loss to `work.grad`.
-
-        Returns
-        -------
-        What `values` needs, of any type, without waiting for the device; None: nothing.
-        """
+        """Add the gradient of a term of the loss to `work.grad`; returns what `values` needs, of
+        any type, without waiting for the device, or None."""
 
     def adjoint(self, work: ViewPass, inputs: Inputs) -> None:
         """Take `work.grad.image` back through what `respond` set, and learn from it."""
@@ -309,8 +229,7 @@ class Part:
     # --- results
 
     def values(self, measured: list[Any]) -> dict[str, float]:
-        """Numbers for the record, from `measured`, which `add_to` returned for each view of a step;
-        waits."""
+        """Numbers for the record, from what `add_to` returned for each view of a step; waits."""
         return {}
 
     def corrected(self, views: Sequence[View]) -> Sequence[View]:

@@ -6,9 +6,7 @@ from clsplat.errors import Interrupted
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
 from clsplat.training import budget, loop
-from clsplat.training.clock import Clock
-from clsplat.training.step import Step
-from tests.data.tiny_training import EVENTFUL, LEVELLED, STILL, records, trained
+from tests.data.tiny_training import EVENTFUL, LEVELLED, records, trained
 
 
 @pytest.mark.slow
@@ -43,20 +41,6 @@ def test_a_budget_leaves_the_best_model(item_device, city, tmp_path, monkeypatch
         "eval_every": "auto", "reset_every": 0, **options})
     scores = [record["psnr"] for record in records(run, "eval")]
     assert len(scores) >= 2 and scores[-1] > max(scores[:-1]) - 1
-
-
-@pytest.mark.slow
-def test_a_model_is_taken_back_where_it_was_better(item_device, city, tmp_path, monkeypatch):
-    """The clock jumps to the end of the budget two steps after opacities were lowered."""
-    steps, taken = Step.densify, []
-    monkeypatch.setattr(Step, "densify", lambda *given: (taken.append(1), steps(*given))[1])
-    for seconds in ("elapsed", "trained"):
-        monkeypatch.setattr(Clock, seconds, lambda clock: 0.0 if len(taken) < 52 else 1e6)
-    run = trained(tmp_path / "run", city, item_device, time_budget="100s", iterations=30000,
-                  eval_at=(50,), **{**STILL, "reset_every": 50})
-    assert records(run, "restored")[0]["since"] == 50
-    before, after = (record["psnr"] for record in records(run, "eval"))
-    assert after == pytest.approx(before, abs=1e-3)
 
 
 @pytest.mark.slow

@@ -13,14 +13,14 @@ from clsplat.options import resolve
 from clsplat.schedule import SceneFacts, scaled_steps, schedule_of
 from clsplat.schedule.plan import Plan
 from clsplat.training.budget import (
+    BYTES_PER_SECOND,
     GROWTH_RECOVERY,
-    MOST_OVERHEAD,
     REPORT_SECONDS,
     RESERVE_SHARE,
     RESET_RECOVERY,
     Deadline,
-    TimeBudget,
 )
+from clsplat.training.model import checkpoint_bytes
 from clsplat.training.session import Session
 
 COUNT = 100_000  # gaussians at the start
@@ -45,18 +45,14 @@ class Simulated(Deadline):
 
     def __init__(self, seconds, clock, **options):
         options = scaled_steps(resolve({}, {
-            "time_budget": f"{seconds}s", "iterations": 30000, **options}))
+            "time_budget": f"{seconds}s", "iterations": 30000, "eval_every": 0, **options}))
         schedule = schedule_of(options.schedule)(options, SceneFacts(
             size=(1600, 1200), count=COUNT, inverse_distance=20.0, photos=None,
             pixels=100 * 1600 * 1200))
-        self.session = Unbuilt(options, schedule)
-        self.made, self.clock = clock, SimpleNamespace(
-            elapsed=lambda: clock.now, trained=lambda: clock.now - self.apart)
-        self.apart = 0.0  # seconds so far that are not of training
-        self.steps_at, self.kept_at = {}, []
-        self.upheavals = {"lowered": 0, "level": 0, "grown": 0}  # the last step of each
-        self.budget = TimeBudget(seconds, clock.evaluation, clock.now,
-                                 self._checkpoint_bytes())
+        self.made, self.apart = clock, 0.0  # seconds so far that are not of training
+        self.steps_at, self.upheavals = {}, {"lowered": 0, "level": 0, "grown": 0}  # the last steps
+        super().__init__(Unbuilt(options, schedule), SimpleNamespace(
+            elapsed=lambda: clock.now, trained=lambda: clock.now - self.apart), clock.evaluation)
 
     def take_step(self):
         session, clock = self.session, self.made
@@ -83,9 +79,6 @@ class Simulated(Deadline):
             session.schedule.observe(iteration, FREQUENCIES)
         self.estimate()
 
-    def keep(self):
-        self.kept_at.append(self.session.iteration)
-
     def run(self, checkpoint_every=0, until=None):
         """Seconds until the model is written, or until a step."""
         self.begin()
@@ -102,7 +95,7 @@ class Simulated(Deadline):
         return self.made.now
 
     def save(self):
-        seconds = self._checkpoint_bytes() / self.made.disk
+        seconds = checkpoint_bytes(self.session.step.count, 3) / self.made.disk
         self.made.now += seconds
         self.apart += seconds
         self.note_saved(seconds)
@@ -186,8 +179,7 @@ def test_a_resumed_run_keeps_to_the_budget():
     again.load(state["budget"])
     after.schedule.load(state["schedule"])
     after.step.count, after.iteration = before.step.count, before.iteration
-    assert again.budget.step_seconds == first.budget.step_seconds
-    assert again.budget.rate == first.budget.rate
+    assert again.state() == first.state()
     assert after.options.iterations == before.options.iterations
     after.level = before.level
     assert 0.97 * 240 < again.run() < 1.01 * 240
@@ -213,7 +205,8 @@ def test_a_run_never_ends_just_after_an_upheaval(step, seconds, options):
     from level to level."""
     clock = Clock(step, evaluation=0.5, change=seconds / 10, build=1.0)
     training = Simulated(seconds, clock, **options)
-    training.budget.change_seconds = clock.change  # the first level's photos were read, too
+    training.session.photos.read_seconds = clock.change  # the first level's photos, too
+    training.note_change()
     assert training.run() < 1.1 * seconds
     since = {name: training.session.iteration - at for name, at in training.upheavals.items() if at}
     assert since.get("lowered", RESET_RECOVERY) >= 0.8 * RESET_RECOVERY
@@ -221,122 +214,62 @@ def test_a_run_never_ends_just_after_an_upheaval(step, seconds, options):
         since.get(name, GROWTH_RECOVERY) for name in ("level", "grown"))
 
 
-def plan_of(**changes):
-    return Plan(**{"level": 1.0, "degree": 3, "gathers": True, "grows": True, "decay": 0.0,
-                   "resets_opacity": True, "prunes_large": False, **changes})
+def after_steps(seconds, **options):
+    """A Deadline of 100 s whose steps at level 1 take so many seconds."""
+    training = Simulated(100, Clock(lambda *_: seconds, evaluation=0.0, build=0.0),
+                         levels=(2.0, 1.0), **options)
+    training.session.level = 1.0
+    training.begin()
+    training.made.now += 10 * seconds
+    training.session.iteration = 10
+    training.estimate()
+    return training
 
 
 @pytest.mark.parametrize("left, grows, lowers, stays", [
     (RESET_RECOVERY, True, True, False), (RESET_RECOVERY - 1, True, False, False),
     (GROWTH_RECOVERY, True, False, False), (GROWTH_RECOVERY - 1, False, False, True)])
 def test_what_needs_time_begins_only_while_there_is_time(left, grows, lowers, stays):
-    made = budget()
-    plan = made.allowed(plan_of(), 2.0, left)
-    assert (plan.grows, plan.resets_opacity, plan.level) == (grows, lowers, 2.0 if stays else 1.0)
-    again = made.allowed(plan_of(), 2.0, 10**6)  # a level that was left out stays so
-    assert (again.level == 2.0) is stays and again.grows is not stays
-    restored = budget()
+    made = after_steps(0.1)
+    made.session.level = 2.0
+    made.made.now += made._left() - (left + 0.5) * 0.1
+    plan = Plan(level=1.0, degree=3, gathers=True, grows=True, decay=0.0, resets_opacity=True,
+                prunes_large=False)
+    found = made.allowed(plan)
+    assert (found.grows, found.resets_opacity, found.level) == (
+        grows, lowers, 2.0 if stays else 1.0)
+    restored = after_steps(0.1)
+    restored.session.level = 2.0
     restored.load(json.loads(json.dumps(made.state())))
-    assert (restored.last_level == 2.0) is stays
+    again = restored.allowed(plan)  # a level that was left out stays so
+    assert (again.level == 2.0) is stays and again.grows is not stays
 
 
-def test_the_first_estimates_of_a_level_are_careful():
-    made = budget()
-    made.step_seconds = {2.0: 0.01}
-    assert made.left(2.0, False, 0.0, 0) == int(LEFT / 0.01)
-    assert made.left(1.0, False, 0.0, 0) == int(LEFT / 0.04)
-    made.note_change(7.0, 0, 0.0)
-    made.note_change(3.0, 0, 0.0)
-    assert made.left(1.0, True, 0.0, 0) == int((LEFT - 7) / 0.04)
+def test_evaluations_are_evenly_spaced_and_take_a_tenth_of_the_time():
+    made = Simulated(100, Clock(by_level, evaluation=1.0), eval_every="auto")
+
+    def due():
+        found = []
+        for made.made.now in range(100):
+            found += [made.made.now] * made.evaluates()
+        return found
+    assert due() == [13, 25, 38, 50, 63, 75, 88]
+    made = Simulated(100, Clock(by_level, evaluation=4.0), eval_every="auto")
+    assert due() == [50]
 
 
-def test_evaluations_of_a_budget_are_paid_for():
-    made = TimeBudget(100.0, 1.0, 0.0, 0, evaluations=8)
-    assert made.reserve(0) == pytest.approx(8 + REPORT_SECONDS + 100 * RESERVE_SHARE)
-    due = [second for second in range(100) if made.evaluates(second)]
-    assert due == [13, 25, 38, 50, 63, 75, 88]
-    assert made.reserve(0) == pytest.approx(1 + REPORT_SECONDS + 100 * RESERVE_SHARE)
-    slow = TimeBudget(100.0, 4.0, 0.0, 0, evaluations=8)  # a tenth of the time: two
-    assert [second for second in range(100) if slow.evaluates(second)] == [50]
-    late = TimeBudget(100.0, 1.0, 0.0, 0, evaluations=8)
-    assert late.evaluates(60) and not late.evaluates(61) and late.evaluates(63)
-
-
-# --- the arithmetic
-
-LEFT = 100 - 2 - REPORT_SECONDS - 100 * RESERVE_SHARE  # seconds for steps
-
-
-def budget(seconds=100.0, evaluation=2.0, saved=0.0):
-    return TimeBudget(seconds, evaluation, 0.0, saved)
-
-
-def test_steps_by_hand():
-    """100 s less those of evaluating and of the page and the spare ones, in steps of 0.1 s."""
-    made = budget()
-    made.note_steps(10, 1.0, 1.0)
-    made.note_steps(20, 1.0, 2.0)
-    assert made.step_seconds == {1.0: pytest.approx(0.1)}
-    assert made.steps(20, [(1.0, 500)], 2.0, 0) == pytest.approx(20 + 10 * (LEFT - 2), abs=1)
-    # 100 steps at a quarter of the time and 300 whole ones take 32.5 s
-    made.step_seconds[4.0] = 0.025
-    assert made.steps(20, [(4.0, 100), (1.0, 300)], 2.0, 0) == pytest.approx(
-        20 + 400 * (LEFT - 2) / 32.5, abs=1)
-
-
-def test_a_level_not_seen_yet_is_judged_by_the_nearest():
-    made = budget()
-    made.step_seconds = {5.0: 0.01, 2.0: 0.03}
-    assert made.steps(0, [(1.0, 10)], 0.0, 0) == int(LEFT / 0.06)
-    assert made.steps(0, [(4.0, 10)], 0.0, 0) == int(LEFT / (0.01 * 5 / 4))
-
-
-def test_the_newest_measurement_counts_half():
-    made = budget()
-    for iteration, elapsed in ((0, 0.0), (10, 1.0), (20, 4.0)):
-        made.note_steps(iteration, 1.0, elapsed)
-    assert made.step_seconds[1.0] == pytest.approx(0.5 * 0.1 + 0.5 * 0.3)
-
-
-def test_what_is_no_step_does_not_count():
-    made = budget()
-    made.begin_steps(10, 50.0)
-    made.note_steps(10, 1.0, 50.1)
-    assert made.step_seconds == {}
-    made.begin_steps(10, 60.0)
-    made.note_steps(20, 1.0, 62.0)
-    assert made.step_seconds == {1.0: pytest.approx(0.2)}
-
-
-def test_time_spent_ends_the_run_at_once():
-    made = budget()
-    made.step_seconds = {1.0: 0.1}
-    for elapsed in (97.5, 99.0, 1000.0):
-        assert made.steps(60, [(1.0, 40)], elapsed, 0) == 60
-    assert made.steps(60, [], 0.0, 0) == made.steps(60, [(1.0, 0)], 0.0, 0) == 60
-
-
-def test_writing_is_reserved_by_what_it_took():
-    made = budget(saved=1e9)
-    before = made.reserve(1e9)
-    made.note_saved(5e8, 1.0)
-    assert before - made.reserve(1e9) == pytest.approx(1e9 / 100e6 - 2)
-
-
-@pytest.mark.parametrize("evaluation, saved", [(60.0, 0), (0.0, 6e9), (300.0, 3e10), (0.6, 0),
-                                               (1e4, 1e9)])
-def test_too_little_is_refused_and_the_cure_is_one(evaluation, saved):
-    with pytest.raises(InputError) as caught:
-        TimeBudget(1.0, evaluation, 0.3, saved)
-    said = str(caught.value)
-    needed = evaluation + saved / 100e6 + REPORT_SECONDS + 0.3 + RESERVE_SHARE
-    assert said.startswith("--time-budget 1s: ") and "\n" not in said
-    assert f"evaluating and saving once take {needed:.1f} s" in said
-    least = float(re.search(r"give at least (\d+)s$", said)[1])
-    made = TimeBudget(least, evaluation, 0.3, saved)
-    assert made.reserve(saved) <= MOST_OVERHEAD * least
+@pytest.mark.parametrize("evaluation", [0.6, 60.0, 1e4])
+def test_too_little_is_refused_and_the_cure_is_one(evaluation):
+    clock = Clock(by_level, evaluation=evaluation)
+    needed = clock.now + evaluation + REPORT_SECONDS + RESERVE_SHARE + (
+        checkpoint_bytes(COUNT, 3) / BYTES_PER_SECOND)
+    with pytest.raises(InputError, match=rf"^--time-budget 1s: .*saving once take {needed:.1f} s"
+                       ) as caught:
+        Simulated(1, clock)
+    least = int(re.search(r"give at least (\d+)s$", str(caught.value))[1])
+    Simulated(least, clock)
     with pytest.raises(InputError):
-        TimeBudget(0.85 * least - 1, evaluation, 0.3, saved)
+        Simulated(int(0.85 * least) - 1, clock)
 
 
 def test_time_that_is_left_is_not_used_for_more_steps_than_are_worth_taking():

@@ -15,33 +15,16 @@ from clsplat.scene import View
 from clsplat.training.parts import outlier_masks
 from clsplat.training.parts.outlier_masks import (
     ObservedView,
-    cell_means,
+    _outliers,
+    _residuals,
     find_outliers,
-    is_due,
-    outliers,
-    packed,
     resampled,
-    residuals,
     spread,
-    unpacked,
 )
 from clsplat.training.photos import Photos, photo_array
 from tests.data.tiny_training import CITY, model_digest, records, resumed, trained
 
 WIDTH, HEIGHT, VIEWS = 70, 50, 5
-
-
-@pytest.mark.parametrize("size", [(1, 1), (4, 4), (5, 3), (18, 23)], ids=str)
-def test_means_of_cells(size):
-    rng = np.random.default_rng(0)
-    values, valid = rng.normal(size=(2, *size)), rng.random(size) < 0.6
-    values[:, ~valid] = np.nan
-    found = cell_means(values, valid)
-    for y, x in np.ndindex(*found.shape[1:]):
-        part = np.s_[4 * y:4 * y + 4, 4 * x:4 * x + 4]
-        inside = values[:, *part][:, valid[part]]
-        expected = inside.mean(axis=1) if inside.size else 0
-        assert np.allclose(found[:, y, x], expected, rtol=1e-12)
 
 
 def test_differences_of_fine_texture_cancel():
@@ -50,10 +33,10 @@ def test_differences_of_fine_texture_cancel():
     image[:, ::2] += 0.2
     image[:, 1::2] -= 0.2
     image[:, 8:, 8:] += 0.1
-    found = residuals(image, view)
+    found = _residuals(image, view)
     assert np.allclose(found[:2], 0) and np.allclose(found[2:, 2:], 0.1)
     image[0, 0, 0] = np.nan
-    assert found.shape == (4, 4) and residuals(image, view)[0, 0] == 0
+    assert found.shape == (4, 4) and _residuals(image, view)[0, 0] == 0
 
 
 def test_outliers_are_coherent_seen_by_others_and_few():
@@ -63,33 +46,23 @@ def test_outliers_are_coherent_seen_by_others_and_few():
     residual[12:16, 5:9] = expected[12:16, 5:9] = 0.3  # learned nowhere
     residual[5:9, 20:24], served[5:9, 20:24] = 0.3, False  # seen by this view only
     residual[12:19:3, 15:29:3] = 0.3  # scattered, as fine texture is
-    found = outliers(residual, expected, served, 0.01)
+    found = _outliers(residual, expected, served, 0.01)
     assert found[4:10, 4:10].sum() > 25 and found[5:9, 5:9].all()
     found[4:10, 4:10] = False
     assert not found.any()
     expected[:] = 0.01  # a whole photo differs
     residual = np.linspace(0.3, 0.9, 600).reshape(20, 30)
-    found = outliers(residual, expected, np.ones_like(served), 0.01)
+    found = _outliers(residual, expected, np.ones_like(served), 0.01)
     assert 0.1 < found.mean() <= outlier_masks.MAX_MASKED_SHARE
 
 
-def test_cells_at_another_size_and_in_bits():
+def test_cells_at_another_size():
     cells = np.zeros((10, 12), bool)
     cells[2:6, 4:8] = True
     finer = resampled(cells, 80, 96)
     assert finer.shape == (20, 24) and np.array_equal(np.argwhere(finer)[[0, -1]],
                                                       [[4, 8], [11, 15]])
     assert np.array_equal(resampled(finer, 39, 47), cells)
-    both = [cells, finer]
-    assert all(np.array_equal(*pair) for pair in zip(unpacked(packed(both), [
-        (40, 48), (80, 96)]), both))
-
-
-@pytest.mark.parametrize("calm, iterations, epoch, level_ends, due", [
-    (124, 1000, 10, False, False), (125, 1000, 10, False, True), (299, 1000, 60, False, False),
-    (300, 1000, 60, False, True), (99, 1000, 60, True, False), (100, 1000, 60, True, True)])
-def test_when_outliers_are_looked_for(calm, iterations, epoch, level_ends, due):
-    assert is_due(calm, iterations, epoch, level_ends) == due
 
 
 @pytest.fixture

@@ -33,9 +33,6 @@ class DepthMaps(Part):
 
     Maps of a level stay on the device if all fit; else each is read at each use.
 
-    Attributes
-    ----------
-    weight : weight of the relative difference in the loss.
     """
 
     name = "depth"
@@ -47,11 +44,9 @@ class DepthMaps(Part):
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
-        """Whether there are depth maps."""
         return bool(prepared.options.depth and prepared.options.depth_weight)
 
     def begin(self, session: Session) -> None:
-        """As `Part.begin`."""
         self.weight = session.options.depth_weight
 
     def begin_level(self, session: Session) -> None:

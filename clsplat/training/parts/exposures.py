@@ -53,11 +53,9 @@ class PhotoResponses(Part):
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
-        """Whether responses are learned."""
         return prepared.options.exposure == "on"
 
     def begin(self, session: Session) -> None:
-        """As `Part.begin`."""
         options, views = session.options, session.train_views
         known = self._known and [self._known.get(view.name, Response()) for view in views]
         lenses = None if options.vignetting != "on" else (
@@ -89,11 +87,9 @@ class PhotoResponses(Part):
             session.train_views, self.exposures.responses())}
 
     def state(self) -> State:
-        """As `Part.state`."""
         return self.exposures.download()
 
     def load(self, state: State, session: Session) -> None:
-        """As `Part.load`."""
         self.exposures.upload(dict(state))
 
     def write(self, run: RunFolder, session: Session) -> None:

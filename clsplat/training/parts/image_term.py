@@ -30,7 +30,6 @@ class ImageTerm(Part):
         self.ssim_weight = ssim_weight
 
     def begin(self, session: Session) -> None:
-        """As `Part.begin`."""
         self.ssim_weight = session.options.ssim_weight
 
     def add_to(self, work: ViewPass, inputs: Inputs) -> tuple[Array, int]:

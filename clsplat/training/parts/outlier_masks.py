@@ -8,9 +8,8 @@ nowhere is not learned yet, and must not be left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,53 +40,19 @@ MIN_COVERAGE = 0.7  # share of a cell that gaussians cover which so many others 
 SEARCHES = 8  # in a run, or fewer, so that between two of them there are at least
 MIN_EPOCHS = 5
 MAX_MASKED_SHARE = 0.25  # share of a photo that may be ignored
+TINY = 1e-6  # above rounding
 
 Cells = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class ObservedView:
-    """A training view at the present level.
+class ObservedView(NamedTuple):
+    """A training view at the present level."""
 
-    Attributes
-    ----------
-    camera : real[27], packed.
-    photo : uint8[3, H, W].
-    valid : bool[H, W], pixels that count by the photo's own mask.
-    exposure : as for `Renderer.render`.
-    """
-
-    camera: Array
-    photo: NDArray[np.uint8]
-    valid: NDArray[np.bool_]
-    exposure: Exposure | None = None
-
-
-def cells_of(length: int) -> int:
-    """The number of cells along a side of so many pixels."""
-    return -(-length // CELL)
-
-
-def cell_means(values: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
-               ) -> NDArray[np.float64]:
-    """Means [..., H/CELL, W/CELL] over the valid pixels of cells; 0 where a cell has none.
-
-    Parameters
-    ----------
-    values : [..., H, W].
-    valid : [H, W]; None: all.
-    """
-    *_, height, width = values.shape
-    weights = np.ones((height, width)) if valid is None else valid.astype(np.float64)
-    sums, counts = (_summed(np.where(weights > 0, v, 0)) for v in (values, weights))
-    return sums / np.maximum(counts, 1)
-
-
-def _summed(values: NDArray[Any]) -> NDArray[np.float64]:
-    for axis in (-2, -1):
-        values = np.add.reduceat(values, np.arange(0, values.shape[axis], CELL), axis=axis,
-                                 dtype=np.float64)
-    return values
+    camera: Array  # real[27], packed
+    photo: NDArray[np.uint8]  # [3, H, W]
+    valid: NDArray[np.bool_]  # [H, W], pixels that count by the photo's own mask
+    exposure: Exposure | None = None  # as for `Renderer.render`
 
 
 def spread(cells: NDArray[Any], height: int, width: int) -> NDArray[Any]:
@@ -95,128 +60,13 @@ def spread(cells: NDArray[Any], height: int, width: int) -> NDArray[Any]:
     return cells.repeat(CELL, axis=0).repeat(CELL, axis=1)[:height, :width]
 
 
-def residuals(image: NDArray[np.floating], view: ObservedView) -> NDArray[np.float64]:
-    """Residuals [H/CELL, W/CELL] of cells: the mean over colours of |mean difference|.
-
-    Differences of fine texture that is not learned yet cancel within a cell; those of something
-    else at its place do not.
-
-    Parameters
-    ----------
-    image : float[3, H, W], after the view's exposure.
-    view : the view.
-    """
-    found: NDArray[np.float64] = np.abs(
-        cell_means(image - view.photo / 255, view.valid)).mean(axis=0)
-    return np.nan_to_num(found, nan=0.0, posinf=0.0)
-
-
-class ResidualModel:
-    """What the gaussians leave unexplained in all photos together.
-
-    Attributes
-    ----------
-    weights, errors : float64[N], sums over views of a gaussian's blending weights, and of these
-        times the residual of their pixels.
-    photos : int64[N], how many views see a gaussian.
-    """
-
-    def __init__(self, renderer: Renderer, rows: Rows, sh_degree: int) -> None:
-        self.renderer, self.rows, self.sh_degree = renderer, rows, sh_degree
-        count = len(rows["positions"])
-        self.weights, self.errors = np.zeros(count), np.zeros(count)
-        self.photos = np.zeros(count, np.int64)
-
-    def add(self, view: ObservedView) -> NDArray[np.float64]:
-        """Add a view; returns the residuals of its cells."""
-        frame = self._frame(view)
-        found = residuals(frame.exposed.download(), view)
-        visible, weights, errors = self._sums(frame, view, found)
-        self.weights[visible] += weights
-        self.errors[visible] += errors
-        self.photos[visible] += weights >= MIN_WEIGHT
-        return found
-
-    def expected(self, view: ObservedView, residual: NDArray[np.float64]
-                 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """What all views but one leave unexplained where this one looks.
-
-        Parameters
-        ----------
-        view : one that was added.
-        residual : what `add` returned for it.
-
-        Returns
-        -------
-        The residual that is expected in each cell, and whether other views see enough of it.
-        """
-        _, height, width = view.photo.shape
-        visible, weights, errors = self._sums(self._frame(view), view, residual)
-        other = np.maximum(self.weights[visible] - weights, 0)
-        values = np.zeros((len(self.weights), 3), np.float64)
-        values[visible, 0] = np.maximum(self.errors[visible] - errors, 0) / np.maximum(other, 1e-9)
-        values[visible, 1] = self.photos[visible] - (weights >= MIN_WEIGHT) >= MIN_OTHER_VIEWS
-        rows = {**self.rows, "sh_constant": self.renderer.device.upload(
-            ((np.minimum(values, 1) - 0.5) / SH_C0).astype(self.renderer.device.real))}
-        shown = self.renderer.render(rows, view.camera, width, height, 0)
-        through = shown.blended.transmittance.download()
-        background = self.renderer.background.download()
-        image = shown.image.download()[:2] - background[:2, None, None] * through
-        expected, served, opaque = cell_means(np.stack([*image, 1 - through]), view.valid)
-        return expected / np.maximum(opaque, 1e-3), served >= MIN_COVERAGE
-
-    def _frame(self, view: ObservedView) -> Frame:
-        _, height, width = view.photo.shape
-        return self.renderer.render(
-            self.rows, view.camera, width, height, self.sh_degree, exposure=view.exposure)
-
-    def _sums(self, frame: Frame, view: ObservedView, residual: NDArray[np.float64]
-              ) -> tuple[NDArray[np.uint32], NDArray[np.float64], NDArray[np.float64]]:
-        """The visible rows of a frame; their weights in it, and these times the residuals."""
-        device, pixels = self.renderer.device, spread(residual, *view.photo.shape[1:])
-        totals = contribution(device, frame, device.upload(pixels)).download()
-        _, weights, errors, _ = totals.T.astype(np.float64)
-        return frame.visible.download(), weights, errors
-
-
-def outliers(residual: NDArray[np.float64], expected: NDArray[np.float64],
-             served: NDArray[np.bool_], scale: float) -> Cells:
-    """The cells of a photo that are ignored.
-
-    Parameters
-    ----------
-    residual, expected : [h, w], of cells, in this photo and in the others.
-    served : [h, w], whether other photos see enough of a cell.
-    scale : the median residual of all cells of all photos.
-    """
-    ratio = np.where(served, residual / np.maximum(np.maximum(FACTOR * expected, FLOOR * scale),
-                                                   1e-9), 0)
-    limit = max(1.0, float(np.quantile(ratio, 1 - MAX_MASKED_SHARE)))
-    found = ratio > limit
-    around = uniform_filter(found.astype(np.float64), 3, mode="nearest")
-    coherent: Cells = around > NEIGHBOURS - 1e-6
-    grown: Cells = uniform_filter(coherent.astype(np.float64), 3, mode="constant") > 1e-6
-    return grown & served if grown.mean() <= MAX_MASKED_SHARE else coherent
-
-
-def is_due(calm: int, iterations: int, epoch: int, level_ends: bool) -> bool:
-    """Whether outliers are looked for before a step.
-
-    Parameters
-    ----------
-    calm : steps since they were last looked for, a level began or opacities were reset; until
-        photos are explained again as well as before, little can be told.
-    iterations : of the run.
-    epoch : steps in which each view is trained on once.
-    level_ends : whether the step is of another level.
-    """
-    every = max(iterations // SEARCHES, MIN_EPOCHS * epoch)
-    return calm >= every or level_ends and 3 * calm >= every
-
-
-def share_of(cells: Sequence[Cells]) -> float:
-    """The share of the cells of all views that are ignored."""
-    return sum(int(each.sum()) for each in cells) / sum(each.size for each in cells)
+def resampled(cells: Cells, height: int, width: int) -> Cells:
+    """The cells of a photo that is height x width pixels at another level, each as the cell was
+    that has its centre."""
+    rows, columns = (
+        np.minimum(((np.arange(new) + 0.5) * old / new).astype(np.int64), old - 1)
+        for new, old in zip((_cells_along(height), _cells_along(width)), cells.shape))
+    return cells[np.ix_(rows, columns)]
 
 
 def find_outliers(renderer: Renderer, rows: Rows, sh_degree: int,
@@ -230,59 +80,108 @@ def find_outliers(renderer: Renderer, rows: Rows, sh_degree: int,
     sh_degree : degree of the spherical harmonics that are used.
     views : returns all training views in their order; called twice.
     """
-    explained = ResidualModel(renderer, rows, sh_degree)
+    explained = _Explained(renderer, rows, sh_degree)
     found = [explained.add(view) for view in views()]
     scale = float(np.median(np.concatenate([each.ravel() for each in found])))
-    return [outliers(residual, *explained.expected(view, residual), scale)
+    return [_outliers(residual, *explained.expected(view, residual), scale)
             for view, residual in zip(views(), found)]
 
 
-def resampled(cells: Cells, height: int, width: int) -> Cells:
-    """The cells of a photo at another size, each as the cell was that has its centre.
+class _Explained:
+    """What the gaussians leave unexplained in all photos together: sums over views of a gaussian's
+    blending weights, of these times the residual of their pixels, and how many views see it."""
 
-    Parameters
-    ----------
-    cells : of the photo at its earlier size.
-    height, width : of the photo, pixels.
+    def __init__(self, renderer: Renderer, rows: Rows, sh_degree: int) -> None:
+        self.renderer, self.rows, self.sh_degree = renderer, rows, sh_degree
+        self.weights, self.errors, self.photos = np.zeros((3, len(rows["positions"])))
+
+    def add(self, view: ObservedView) -> Floats:
+        """Add a view; returns the residuals of its cells."""
+        frame = self._frame(view)
+        found = _residuals(frame.exposed.download(), view)
+        visible, weights, errors = self._sums(frame, view, found)
+        self.weights[visible] += weights
+        self.errors[visible] += errors
+        self.photos[visible] += weights >= MIN_WEIGHT
+        return found
+
+    def expected(self, view: ObservedView, residual: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """From all views but this one, which was added with this residual: what is expected to be
+        left in each cell, and whether they see enough of it."""
+        _, height, width = view.photo.shape
+        visible, weights, errors = self._sums(self._frame(view), view, residual)
+        other = np.maximum(self.weights[visible] - weights, 0)
+        values = np.zeros((len(self.weights), 3), np.float64)
+        values[visible, 0] = np.maximum(self.errors[visible] - errors, 0) / np.maximum(other, 1e-9)
+        values[visible, 1] = self.photos[visible] - (weights >= MIN_WEIGHT) >= MIN_OTHER_VIEWS
+        # both are rendered as colours
+        rows = {**self.rows, "sh_constant": self.renderer.device.upload(
+            ((np.minimum(values, 1) - 0.5) / SH_C0).astype(self.renderer.device.real))}
+        shown = self.renderer.render(rows, view.camera, width, height, 0)
+        through = shown.blended.transmittance.download()
+        background = self.renderer.background.download()
+        image = shown.image.download()[:2] - background[:2, None, None] * through
+        expected, served, opaque = _cell_means(np.stack([*image, 1 - through]), view.valid)
+        return expected / np.maximum(opaque, 1e-3), served >= MIN_COVERAGE
+
+    def _frame(self, view: ObservedView) -> Frame:
+        _, height, width = view.photo.shape
+        return self.renderer.render(
+            self.rows, view.camera, width, height, self.sh_degree, exposure=view.exposure)
+
+    def _sums(self, frame: Frame, view: ObservedView, residual: Floats
+              ) -> tuple[NDArray[np.uint32], Floats, Floats]:
+        """The visible rows of a frame; their weights in it, and these times the residuals."""
+        device, pixels = self.renderer.device, spread(residual, *view.photo.shape[1:])
+        totals = contribution(device, frame, device.upload(pixels)).download()
+        _, weights, errors, _ = totals.T.astype(np.float64)
+        return frame.visible.download(), weights, errors
+
+
+def _residuals(image: NDArray[np.floating], view: ObservedView) -> Floats:
+    """Residuals of cells [H/CELL, W/CELL]: the mean over colours of |mean difference| of an image
+    [3, H, W] and the view's photo.
+
+    Differences of fine texture that is not learned yet cancel within a cell; those of something
+    else at its place do not.
     """
-    rows, columns = (
-        np.minimum(((np.arange(new) + 0.5) * old / new).astype(np.int64), old - 1)
-        for new, old in zip((cells_of(height), cells_of(width)), cells.shape))
-    return cells[np.ix_(rows, columns)]
+    found: Floats = np.abs(_cell_means(image - view.photo / 255, view.valid)).mean(axis=0)
+    return np.nan_to_num(found, nan=0.0, posinf=0.0)
 
 
-def packed(cells: Sequence[Cells]) -> NDArray[np.uint8]:
-    """Cells of all views in bits, for a checkpoint."""
-    return np.packbits(np.concatenate([each.ravel() for each in cells]))
+def _outliers(residual: Floats, expected: Floats, served: NDArray[np.bool_], scale: float
+              ) -> Cells:
+    """The cells of a photo that are ignored, by the residual of each cell and the expected one,
+    whether other photos see enough of it, and the median residual of all cells of all photos."""
+    least = np.maximum(np.maximum(FACTOR * expected, FLOOR * scale), 1e-9)
+    ratio = np.where(served, residual / least, 0)
+    found = ratio > max(1.0, float(np.quantile(ratio, 1 - MAX_MASKED_SHARE)))
+    around = uniform_filter(found.astype(np.float64), 3, mode="nearest")
+    coherent: Cells = around > NEIGHBOURS - TINY
+    grown: Cells = uniform_filter(coherent.astype(np.float64), 3, mode="constant") > TINY
+    return grown & served if grown.mean() <= MAX_MASKED_SHARE else coherent
 
 
-def unpacked(bits: NDArray[np.uint8], sizes: Sequence[tuple[int, int]]) -> list[Cells]:
-    """What `packed` packed.
+def _cells_along(length: int) -> int:
+    return -(-length // CELL)
 
-    Parameters
-    ----------
-    bits : of `packed`.
-    sizes : (height, width) of the photos, pixels.
-    """
-    shapes = [(cells_of(height), cells_of(width)) for height, width in sizes]
-    ends = np.cumsum([rows * columns for rows, columns in shapes])
-    flat = np.unpackbits(bits, count=int(ends[-1])).astype(bool)
-    return [part.reshape(shape) for part, shape in zip(np.split(flat, ends[:-1]), shapes)]
+
+def _cell_means(values: NDArray[np.floating], valid: NDArray[np.bool_]) -> Floats:
+    """Means [..., H/CELL, W/CELL] over the valid pixels of cells; 0 where a cell has none."""
+    sums, counts = np.where(valid, values, 0), valid.astype(np.float64)
+    for axis in (-2, -1):
+        places = np.arange(0, values.shape[axis], CELL)
+        sums, counts = (np.add.reduceat(each, places, axis=axis, dtype=np.float64)
+                        for each in (sums, counts))
+    return sums / np.maximum(counts, 1)
 
 
 class OutlierMasks(Part):
-    """Leaves out of the photos what moved or glared, which it looks for several times in a run.
-
-    Attributes
-    ----------
-    disturbed_at : step of the latest search, change of level or reset of opacities.
-    """
+    """Leaves out of the photos what moved or glared, which it looks for several times in a run."""
 
     name = "robust"
     Options = RobustOptions
-
-    def __init__(self) -> None:
-        self.disturbed_at = 0
+    _calm_since = 0  # step of the latest search, change of level or reset of opacities
 
     @classmethod
     def decide(cls, survey: Survey) -> dict[str, Decision]:
@@ -295,29 +194,29 @@ class OutlierMasks(Part):
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
-        """Whether it is requested."""
         return prepared.options.robust == "on"
 
     def begin(self, session: Session) -> None:
-        """As `Part.begin`."""
         self._photos: Photos = session.photos
 
     def begin_level(self, session: Session) -> None:
-        """As `Part.begin_level`."""
-        self.disturbed_at = session.iteration
+        self._calm_since = session.iteration
 
     def opacities_reset(self, session: Session) -> None:
-        """As `Part.opacities_reset`."""
-        self.disturbed_at = session.iteration
+        self._calm_since = session.iteration
 
     def before_step(self, session: Session, plan: Plan) -> dict[str, float] | None:
         """Find the pixels of all training photos that are left out from now on, if that is due.
 
-        The record has their share of all pixels, and the largest share in a photo.
+        It is due some steps after something has changed: until photos are explained again as well
+        as before, little can be told. The record has their share of all pixels, and the largest
+        share in a photo.
         """
-        options, views = session.decisions.options, len(session.train_views)
-        if not is_due(session.iteration - self.disturbed_at, options.iterations,
-                      -(-views // options.batch), plan.level != session.level):
+        options, epoch = session.decisions.options, -(-len(session.train_views)
+                                                      // session.decisions.options.batch)
+        calm = session.iteration - self._calm_since
+        every = max(options.iterations // SEARCHES, MIN_EPOCHS * epoch)
+        if calm < every and not (plan.level != session.level and 3 * calm >= every):
             return None
         session.model.catch_up()
         session.step.release()  # these frames have other sizes
@@ -325,22 +224,27 @@ class OutlierMasks(Part):
                               lambda: _observed(session))
         session.device.trim()
         session.photos.ignore(cells)
-        self.disturbed_at = session.iteration
-        return {"share": round(share_of(cells), 6),
+        self._calm_since = session.iteration
+        share = sum(int(each.sum()) for each in cells) / sum(each.size for each in cells)
+        return {"share": round(share, 6),
                 "most": round(max(float(each.mean()) for each in cells), 6)}
 
     def state(self) -> State:
-        """As `Part.state`."""
+        """The cells of all views are in bits."""
         ignored = self._photos.ignored
-        return {"disturbed_at": np.array(self.disturbed_at),
-                **({} if ignored is None else {"cells": packed(ignored)})}
+        return {"disturbed_at": np.array(self._calm_since), **({} if ignored is None else {
+            "cells": np.packbits(np.concatenate([each.ravel() for each in ignored]))})}
 
     def load(self, state: State, session: Session) -> None:
-        """As `Part.load`."""
-        self.disturbed_at = int(state["disturbed_at"])
-        if "cells" in state:
-            session.photos.ignore(unpacked(state["cells"], [
-                (view.camera.height, view.camera.width) for view in session.photos.views]))
+        self._calm_since = int(state["disturbed_at"])
+        if "cells" not in state:
+            return
+        shapes = [(_cells_along(view.camera.height), _cells_along(view.camera.width))
+                  for view in session.photos.views]
+        ends = np.cumsum([rows * columns for rows, columns in shapes])
+        flat = np.unpackbits(state["cells"], count=int(ends[-1])).astype(bool)
+        session.photos.ignore([each.reshape(shape) for each, shape in zip(
+            np.split(flat, ends[:-1]), shapes)])
 
 
 def _observed(session: Session) -> Iterator[ObservedView]:

@@ -41,11 +41,9 @@ class CameraPoses(Part):
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
-        """Whether poses are corrected."""
         return prepared.options.poses == "on"
 
     def begin(self, session: Session) -> None:
-        """As `Part.begin`."""
         cameras = [view.camera for view in session.train_views]
         self.poses = Poses(session.device, cameras, typical_depth(cameras, session.scene.points))
         self.skipped = self.poses.skipped
@@ -69,16 +67,13 @@ class CameraPoses(Part):
                         work.counts)
 
     def corrected(self, views: Sequence[View]) -> list[View]:
-        """As `Part.corrected`."""
         return [replace(view, camera=correction.applied(view.camera))
                 for view, correction in zip(views, self.poses.corrections())]
 
     def state(self) -> State:
-        """As `Part.state`."""
         return self.poses.download()
 
     def load(self, state: State, session: Session) -> None:
-        """As `Part.load`."""
         self.poses.upload({name: state[name] for name in LEARNED})
 
     def write(self, run: RunFolder, session: Session) -> None:

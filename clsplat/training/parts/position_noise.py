@@ -19,11 +19,9 @@ class PositionNoise(Part):
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
-        """Whether there is noise."""
         return bool(prepared.options.position_noise)
 
     def begin(self, session: Session) -> None:
-        """As `Part.begin`."""
         self._amount, self._seed = session.options.position_noise, session.options.seed
 
     def inputs(self, now: Now, sample: TrainingSample) -> Inputs:

@@ -21,11 +21,9 @@ class Regularisers(Part):
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
-        """Whether one of the weights is not 0."""
         return bool(prepared.options.opacity_weight or prepared.options.scale_weight)
 
     def begin(self, session: Session) -> None:
-        """As `Part.begin`."""
         self._weights = session.options.opacity_weight, session.options.scale_weight
 
     def learn(self, work: ViewPass, inputs: Inputs) -> None:

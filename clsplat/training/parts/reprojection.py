@@ -120,11 +120,9 @@ class Reprojection(Part):
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
-        """Whether views are compared with source views at all."""
         return prepared.decisions.parts["reproject"].found is not None
 
     def begin(self, session: Session) -> None:
-        """As `Part.begin`."""
         responses = session.part(PhotoResponses)
         self._photos: Photos = session.photos
         self.sources = SourceViews(
@@ -132,7 +130,6 @@ class Reprojection(Part):
             responses.exposures if responses else None, session.options.seed)
 
     def begin_level(self, session: Session) -> None:
-        """As `Part.begin_level`."""
         self.sources.use([view.camera for view in session.photos.views])
 
     def recentre(self) -> None:
@@ -148,12 +145,10 @@ class Reprojection(Part):
                          "weight": float(now.plan.regularises)}
 
     def read_ahead(self, plan: Plan, view: int, number: int) -> Sequence[int]:
-        """As `Part.read_ahead`."""
         pair = self.sources.drawn(number, view) if plan.regularises else None
         return pair[1:] if pair else ()
 
     def add_to(self, work: ViewPass, inputs: Inputs) -> None:
-        """As `Part.add_to`."""
         blended = work.frame.blended
         _, grad_depth, grad_transmittance = reproject(
             work.counts.device, blended.depth, blended.transmittance, work.photo, inputs["photo"],
