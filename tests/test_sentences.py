@@ -2,8 +2,7 @@
 
 Each page, help text and string of the code is searched for what stands in `backticks`, in a block
 of commands, or looks like an option; every mention is checked against the command line itself and
-the checkout. `python -m clsplat.bench` names what only a checkout has, so only pages for developers
-may say it.
+the checkout.
 """
 
 import ast
@@ -122,8 +121,7 @@ def options_of(name):
 @cache
 def tools_text():
     """All code that parses options of its own."""
-    return "".join(path.read_text("utf-8") for _, path in sources(ROOT, "clsplat/bench", "tools",
-                                                                     "tests"))
+    return "".join(path.read_text("utf-8") for _, path in sources(ROOT, "tools", "tests"))
 
 
 @cache
@@ -261,8 +259,7 @@ def shell_text():
 def test_help():
     found = [line for where, text in help_texts() for line in lies(where, text, users=True)]
     found += [f"{where}: {said}" for where, text in help_texts()
-              for said in (untrue_option(flag, not where.startswith("clsplat bench"))
-                           for flag in OPTION.findall(text)) if said]
+              for said in (untrue_option(flag, True) for flag in OPTION.findall(text)) if said]
     assert not found, "\n".join(found)
 
 

@@ -1,33 +1,26 @@
 """Benchmarks: the kernel families of `families.py`, and `step` and `render` for all together.
 
-Each prints a table, or with --json JSON lines: family, variant, form, device, driver, size, median
-and quartiles in milliseconds, bytes, operations, and both as shares of the measured peak rates of
-the device. Times are wall times of work that has finished on the device, after a warm-up. Run them
-with `clsplat bench FAMILY`.
+Times are wall times of work that has finished on the device, after a warm-up. Run them with
+`clsplat bench FAMILY`.
 """
 
-from collections.abc import Sequence
+from typing import Any
 
-from . import render, step
-from .families import CITY_FAMILIES, IMAGE_FAMILIES, time_family
+from clsplat.bench import render, step
+from clsplat.bench.families import FAMILIES, time_family
+from clsplat.bench.measure import Bench
 
 
 def families() -> list[str]:
     """Names of the benchmarks."""
-    return sorted({*CITY_FAMILIES, *IMAGE_FAMILIES, "render", "step"})
+    return sorted({*FAMILIES, "render", "step"})
 
 
-def run(family: str, argv: Sequence[str]) -> None:
-    """Run a benchmark.
-
-    Parameters
-    ----------
-    family : one of `families`.
-    argv : its flags, as of the command line; InputError for a wrong one.
-    """
+def run(family: str, bench: Bench, **of_step: Any) -> None:
+    """Run a benchmark, one of `families`; `of_step` are further parameters of `step.main`."""
     if family == "step":
-        step.main(argv)
+        step.main(bench, **of_step)
     elif family == "render":
-        render.main(argv)
+        render.main(bench)
     else:
-        time_family(family, argv)
+        time_family(family, bench)

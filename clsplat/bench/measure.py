@@ -1,122 +1,95 @@
-"""Flags and reports shared by the benchmarks."""
+"""Wall times of work on a device, and how benchmarks report them."""
 
-import argparse
 import json
 import re
+import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NoReturn
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.device import choose_device
-from clsplat.errors import InputError
-
-from .ceilings import measure_ceilings
-from .timing import milliseconds, spread
+from clsplat.device import Device
 
 MULTIPLES = {"": 1, "k": 1_000, "M": 1_000_000}
 
 
+@dataclass(frozen=True)
 class Bench:
-    """One run of a benchmark: its flags, its device with the peak rates, timing and reports.
+    """What a benchmark runs with, and its reports.
 
-    Parameters
+    Attributes
     ----------
-    argv : the flags of the command line.
-    description : the text of --help.
-    defaults : a flag --NAME for each; False makes a switch, a list a flag of several values, and
-        `gaussians` is a text such as "200k,1M".
+    device : with profiling, if kernels are to be timed by the device's clock.
+    gaussians : numbers of them, one after the other.
+    repeats : times that are measured.
+    as_json : whether reports are JSON lines in place of a table.
     """
 
-    def __init__(self, argv: Sequence[str], description: str | None, **defaults: Any) -> None:
-        self.options = arguments(argv, description, **defaults)
-        self.device = choose_device(self.options.device, form=self.options.form,
-                                    profiling=getattr(self.options, "profile", False))
-        self.ceilings = measure_ceilings(self.device)
-        if not self.options.json:
-            print(f"{self.device.name}, {self.device.form} form: copies "
-                  f"{self.ceilings.copy / 1e9:.1f} GB/s, multiplies and adds "
-                  f"{self.ceilings.arithmetic / 1e9:.1f} Gop/s", flush=True)
+    device: Device
+    gaussians: tuple[int, ...]
+    repeats: int = 20
+    as_json: bool = False
 
     def milliseconds(self, function: Callable[[], object],
-                     warm_up: int = 3) -> NDArray[np.float64]:
-        """Wall times float64[repeats] of `function()`."""
-        return milliseconds(self.device, function, self.options.repeats, warm_up)
+                     device: "Finishes | None" = None) -> NDArray[np.float64]:
+        """Wall times float64[repeats] of `function()`, including its completion on the device."""
+        return in_turn([(device or self.device, function)], self.repeats).ravel()
 
     def report(self, family: str, variant: str, times: NDArray[np.float64],
-               size: Mapping[str, object], traffic: float | None = None,
-               operations: float | None = None) -> None:
-        """Print one result as a JSON line or as a line of a table.
+               size: Mapping[str, object]) -> None:
+        """Print one result.
 
         Parameters
         ----------
         times : milliseconds.
         size : the numbers that say how large the task was, by name.
-        traffic : bytes that the kernels read and write, caches left aside; None if not counted.
-        operations : additions, multiplications, comparisons and the like that the algorithm needs,
-            counted by hand in the source of the kernel, an exponential as 20; None if not counted.
         """
-        seconds = float(np.median(times)) * 1e-3
         record = {"family": family, "variant": variant, "form": self.device.form,
                   "device": self.device.name, "driver": self.device.handle.driver_version,
-                  "size": size, **spread(times),
-                  "bytes": traffic, "operations": operations,
-                  "copy_gb_s": round(self.ceilings.copy / 1e9, 2),
-                  "arithmetic_gop_s": round(self.ceilings.arithmetic / 1e9, 2),
-                  "copy_share": _share(traffic, seconds, self.ceilings.copy),
-                  "arithmetic_share": _share(operations, seconds, self.ceilings.arithmetic)}
-        print(json.dumps(record) if self.options.json else _line(record), flush=True)
+                  "size": size, **spread(times)}
+        if self.as_json:
+            print(json.dumps(record), flush=True)
+            return
+        low, high = record["quartiles_ms"]
+        extra = ", ".join(f"{what} {count:,}" if isinstance(count, int) else f"{what} {count}"
+                          for what, count in size.items())
+        print(f"{family:12} {variant:24} {record['median_ms']:9.3f} ms  ({low:.3f} to {high:.3f})  "
+              f"{extra}", flush=True)
 
 
-def _share(amount: float | None, seconds: float, ceiling: float) -> float | None:
-    return None if amount is None else round(amount / seconds / ceiling, 4)
+class Finishes(Protocol):
+    """A device, or a renderer on one."""
+
+    def finish(self) -> None:
+        """Wait for all its work."""
 
 
-def _line(record: dict[str, Any]) -> str:
-    low, high = record["quartiles_ms"]
-    extra = [f"{what} {count:,}" if isinstance(count, int) else f"{what} {count}"
-             for what, count in record["size"].items()]
-    for amount, share, unit in (("bytes", "copy_share", "GB/s"),
-                                ("operations", "arithmetic_share", "Gop/s")):
-        if record[amount]:
-            rate = record[amount] / record["median_ms"] / 1e6
-            extra.append(f"{rate:.1f} {unit} ({record[share]:.0%})")
-    return (f"{record['family']:12} {record['variant']:24} {record['median_ms']:9.3f} ms  "
-            f"({low:.3f} to {high:.3f})  {', '.join(extra)}")
+def in_turn(tasks: Sequence[tuple[Finishes, Callable[[], object]]], repeats: int,
+            warm_up: int = 3) -> NDArray[np.float64]:
+    """Wall times float64[len(tasks), repeats] of several functions on their devices, one after the
+    other in each round, so that other work on the machine disturbs all of them alike."""
+    times = np.empty((len(tasks), warm_up + repeats))
+    for turn in range(warm_up + repeats):
+        for number, (device, function) in enumerate(tasks):
+            start = time.perf_counter()
+            function()
+            device.finish()
+            times[number, turn] = (time.perf_counter() - start) * 1e3
+    return times[:, warm_up:]
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, like those of the command line."""
-
-    def error(self, message: str) -> NoReturn:
-        """Raise InputError."""
-        raise InputError(f"{message}; see `clsplat bench FAMILY -- --help`")
-
-
-def arguments(argv: Sequence[str] | None, description: str | None, **defaults: Any
-              ) -> argparse.Namespace:
-    """Parse --json, --device, --form, --repeats and the flags of `defaults` (see `Bench`)."""
-    parser = Parser(description=description, prog="clsplat bench")
-    parser.add_argument("--json", action="store_true", help="JSON lines instead of a table")
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--form", default="auto", choices=("auto", "item", "group"))
-    for name, default in {"repeats": 20, **defaults}.items():
-        flag = "--" + name.replace("_", "-")
-        if isinstance(default, bool):
-            parser.add_argument(flag, action="store_true")
-        elif name == "gaussians":
-            parser.add_argument(flag, default=default, type=counts, metavar=default)
-        else:
-            kind = type(default[0]) if isinstance(default, list) else type(default)
-            parser.add_argument(flag, default=default, type=kind,
-                                nargs="+" if isinstance(default, list) else None)
-    return parser.parse_args(argv)
+def spread(times: NDArray[np.float64]) -> dict[str, Any]:
+    """The fields median_ms, quartiles_ms (lower, upper) and repeats of a record."""
+    low, median, high = np.percentile(times, (25, 50, 75))
+    return {"median_ms": round(float(median), 4),
+            "quartiles_ms": [round(float(low), 4), round(float(high), 4)], "repeats": len(times)}
 
 
 def counts(text: str) -> tuple[int, ...]:
     """The numbers of a list, such as (200000, 1000000) for "200k,1M"."""
     parts = [re.fullmatch(r"(\d+(?:\.\d+)?)([kM]?)", part) for part in text.split(",")]
     if not all(parts):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a list of counts such as 200k,1M,4M")
+        raise ValueError("not a list of counts; give one such as 200k,1M,4M")
     return tuple(round(float(part[1]) * MULTIPLES[part[2]]) for part in parts if part)

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from clsplat.bench.measure import Bench
+from clsplat.bench.workloads import city
 from clsplat.camera import Camera
 from clsplat.constants import COUNT_FAILED, FRAME_COUNTS
 from clsplat.device import Device, Graph
@@ -15,19 +17,14 @@ from clsplat.errors import DeviceError
 from clsplat.gaussians import Gaussians
 from clsplat.rendering.pipeline import Renderer, Room
 
-from .measure import Bench
-from .timing import milliseconds
-from .workloads import city
 
-
-def main(argv: Sequence[str]) -> None:
-    """Run this benchmark with its flags."""
-    bench = Bench(argv, __doc__, gaussians="200k,1M,4M")
-    for count in bench.options.gaussians:
+def main(bench: Bench) -> None:
+    """Run this benchmark."""
+    for count in bench.gaussians:
         gaussians, cameras = city(count)
         peer = Clsplat(bench.device, gaussians, cameras)
         for variant, function in (("forward", peer.forward), ("forward + adjoint", peer.both)):
-            bench.report("render", variant, milliseconds(peer, function, bench.options.repeats),
+            bench.report("render", variant, bench.milliseconds(function, peer),
                          {"gaussians": count, "width": peer.width, "height": peer.height})
 
 

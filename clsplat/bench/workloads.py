@@ -3,15 +3,14 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from clsplat.device import Array, Device
-from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.device import Device
+from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import encode_jpeg
-from clsplat.primitives.compact import new_counts
-from clsplat.rendering.contribution import contribution
 from clsplat.rendering.pipeline import Renderer
-from clsplat.rendering.project import FieldGradients, Gradients
+from clsplat.rendering.project import Gradients
 from clsplat.scene import Scene, View
 
 DEFINES = (("SH_REST", 15), ("ANTIALIASED", 0))  # of project and cull, as in training
@@ -112,36 +111,16 @@ class CityFrame:
         self.size = {"gaussians": count, "width": camera.width, "height": camera.height,
                      "visible": self.seen, "pairs": pairs.count}
 
-    def blended_pixels(self) -> int:
-        """How often a splat was blended into a pixel: the work that blending cannot avoid."""
-        image = self.frame.image
-        weights = image.device.zeros(image.shape[1:])
-        columns = contribution(image.device, self.frame, weights).download()
-        return int(columns[:, 0].sum(dtype=np.float64))
+    def plane(self, seed: int = 0, channels: int = 0) -> NDArray[np.float64]:
+        """Random numbers from 0 to 1 for each pixel, or for each of some channels of them."""
+        width, height = self.frame.size
+        return np.random.default_rng(seed).random((*[channels] * bool(channels), height, width))
 
     def gradients(self) -> Gradients:
         """Gradients of a loss whose gradient is the same for every value of the image."""
         image = self.frame.image
         grad = image.device.upload(np.full(image.shape, 1 / np.prod(image.shape)))
         return self.renderer.adjoint(self.rows, self.frame, grad)
-
-
-def random_gradients(device: Device, count: int, share: float) -> Gradients:
-    """Random gradients of a share of the rows, in runs of 16 rows, as a view sees them."""
-    rng = np.random.default_rng(0)
-    chosen = np.sort(rng.permutation(-(-count // 16))[:-(-max(1, int(share * count)) // 16)])
-    indices = (chosen[:, None] * 16 + np.arange(16)).ravel()
-    rows = device.upload(indices[indices < count].astype(np.uint32))
-
-    def random(*shape: int) -> Array:
-        return device.upload(rng.normal(0, 1e-4, (len(rows), *shape)))
-
-    stored = {field.name: random(*field.row_shape(3)) for field in LEARNED
-              if not field.name.startswith("sh_")}
-    counts = new_counts(device, len(rows))
-    fields = FieldGradients(device, stored, random(3), random(3), 15, (*DEFINES, ("DEGREE", 3)),
-                            counts)
-    return Gradients(fields, None, rows, rows, counts)
 
 
 def ring_camera(angle: float, size: tuple[int, int]) -> Camera:

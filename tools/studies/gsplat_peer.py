@@ -6,15 +6,15 @@ Needs CUDA, PyTorch and gsplat. The loss is the mean of the squares of the image
 work one after the other in each round, so that other work on the machine disturbs both alike.
 """
 
+import argparse
 import json
 
 import gsplat
 import numpy as np
 import torch
 
-from clsplat.bench.measure import arguments
+from clsplat.bench.measure import counts, in_turn, spread
 from clsplat.bench.render import Clsplat
-from clsplat.bench.timing import in_turn, spread
 from clsplat.bench.workloads import city
 from clsplat.device import choose_device
 
@@ -64,8 +64,13 @@ class Gsplat:
 
 def main():
     """Print the times of both renderers."""
-    options = arguments(None, __doc__, gaussians="200k,1M,4M")
-    device = choose_device(options.device, form=options.form)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--gaussians", type=counts, default="200k,1M,4M")
+    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    device = choose_device(options.device)
     for count in options.gaussians:
         gaussians, cameras = city(count)
         peers = {"clsplat": Clsplat(device, gaussians, cameras),

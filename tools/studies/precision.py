@@ -9,6 +9,7 @@ table, or JSON lines.
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.bench.measure import arguments
-from clsplat.bench.timing import in_turn, spread
+from clsplat.bench.measure import counts, in_turn, spread
 from clsplat.bench.workloads import city
 from clsplat.camera import Camera
 from clsplat.constants import NO_ROW, SPLAT_DEPTH, SPLAT_OPACITY, SPLAT_REALS
@@ -290,7 +290,14 @@ def line(record: dict[str, Any]) -> str:
 
 def main() -> None:
     """Print the records of all variants."""
-    options = arguments(None, __doc__, gaussians="50k", size=[512, 384], repeats=15)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--form", default="auto")
+    parser.add_argument("--gaussians", type=counts, default="50k")
+    parser.add_argument("--size", type=int, nargs=2, default=(512, 384))
+    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
     for spec in options.device.split(","):
         for count in options.gaussians:
             for record in measured(spec, options.form, city(count, tuple(options.size)),
