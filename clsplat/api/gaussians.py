@@ -45,7 +45,7 @@ class Gaussians(gaussians.Gaussians):
         Parameters
         ----------
         path : the file, which is replaced as a whole; its suffix selects the format: .ply keeps
-            every number, .glb keeps single precision, .compressed.ply, .sog and .spz are smaller,
+            every number, .glb keeps single precision, .sog and .spz are smaller,
             .las and .laz hold the centres as points.
 
         Raises

@@ -1,4 +1,5 @@
-"""The models that are edited: runs or files, with what is known of their place and their views."""
+"""The models that are edited: runs or files, with what is known of their place and their views, and
+the boxes and polygons that the user gives in their coordinates."""
 
 from __future__ import annotations
 
@@ -11,15 +12,20 @@ from numpy.typing import NDArray
 
 from clsplat.apps.support import seen_by
 from clsplat.device import Device
-from clsplat.edit.select import merged, selected
+from clsplat.edit.select import in_polygons, merged, selected
 from clsplat.edit.transform import transformed
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run, shown
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
+from clsplat.io.georeference.crs import conversion
+from clsplat.io.georeference.geojson import DEGREES, read_polygons
 from clsplat.io.models.formats import is_model, read_model, read_notes
 from clsplat.io.models.values import MIP
 from clsplat.io.scenes.read import read_scene
+from clsplat.partition.region import map_axes
+
+GEOJSON = (".geojson", ".json")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,23 +64,17 @@ class Source:
 
     def measured(self, device: Device, scene_path: Path | None,
                  progress: Callable[[int, int], object] | None = None) -> Source:
-        """The source with what its training views see.
-
-        Parameters
-        ----------
-        device : an open device.
-        scene_path : the scene; None: that of the run.
-        progress : see `seen_by`.
-        """
+        """The source with what the training views of a scene see, or of the run's own scene; see
+        `seen_by`."""
         if self.run is not None:
             scene, options = self.run.scene(scene_path), self.run.options
             views, _ = scene.split(options.test_every, options.test_offset)
             near = scene.near(options.near)
-        elif scene_path is not None:
+        else:
+            if scene_path is None:
+                raise ValueError("a file has no views of its own")
             scene = read_scene(scene_path)
             views, near = scene.views, scene.near(0.0)
-        else:
-            raise ValueError("a file has no views of its own")
         return replace(self, support=seen_by(device, self.gaussians.moved(scene.offset), views,
                                              near, self.antialiased, progress))
 
@@ -99,11 +99,72 @@ class Source:
         """What the header of a file must say besides its place."""
         return (MIP,) if self.antialiased else ()
 
+    def in_box(self, box: Sequence[float], coordinates: str) -> NDArray[np.bool_]:
+        """bool[N]: whether the gaussians lie in a box.
+
+        Parameters
+        ----------
+        box : the lowest x, y, z, then the highest; -inf and inf leave a side open.
+        coordinates : auto and scene: it is in original coordinates; map: in those of the CRS.
+
+        Raises
+        ------
+        InputError : the box is empty, or the coordinates need a georeference.
+        """
+        low, high = np.array(box, np.float64).reshape(2, 3)
+        if not (low < high).all():
+            raise InputError("--box: is empty; give the lowest x, y and z, then the highest (inf "
+                             "and -inf leave a side open)")
+        if coordinates == "lonlat":
+            raise InputError("--box: cannot be in degrees; use --polygon, or --coordinates map")
+        points = self._points()
+        if coordinates == "map":
+            points = points + self._place("--box").offset
+        return np.asarray(((points >= low) & (points <= high)).all(axis=1))
+
+    def in_polygons(self, text: str, coordinates: str) -> NDArray[np.bool_]:
+        """bool[N]: whether the gaussians stand above or below polygons on the ground plane: their
+        original x and y if z is up.
+
+        Parameters
+        ----------
+        text : the path of a GeoJSON file, or corners such as "0,0 10,0 10,10".
+        coordinates : scene (original coordinates of the model), map (those of its CRS), lonlat
+            (longitude and latitude), or auto: the CRS that a GeoJSON file names; otherwise lonlat
+            for a GeoJSON file if the model is georeferenced, and scene for all else.
+
+        Raises
+        ------
+        InputError : the file or the text is no polygon, or the coordinates need a georeference.
+        """
+        is_file = text.lower().endswith(GEOJSON)
+        polygons, crs = read_polygons(Path(text)) if is_file else ([[_corners(text)]], "")
+        if coordinates == "auto" and (not is_file or self.georeference is None and not crs):
+            coordinates = "scene"
+        if coordinates != "scene":
+            place = self._place(f"--polygon {text[:60]}")
+            given = {"map": place.crs, "lonlat": DEGREES, "auto": crs or DEGREES}[coordinates]
+            if given != place.crs:
+                convert = conversion(given, place.crs, "--polygon")
+                polygons = [[convert(ring) for ring in rings] for rings in polygons]
+            polygons = [[ring - place.offset[:2] for ring in rings] for rings in polygons]
+        up = np.array([0.0, 0.0, 1.0]) if self.up is None else self.up
+        return in_polygons(self._points() @ map_axes(up).T, polygons)
+
+    def _points(self) -> NDArray[np.float64]:
+        return self.gaussians.positions.astype(np.float64) + self.gaussians.offset
+
+    def _place(self, what: str) -> Georeference:
+        if self.georeference is None:
+            raise InputError(f"{what}: {self.path} has no georeference, so its place on a map is "
+                             "unknown; give --coordinates scene")
+        return self.georeference
+
 
 def joined(sources: Sequence[Source]) -> Source:
     """One source of several, in the original coordinates of the first.
 
-    Where the georeferences tell, the others are moved by the difference of their map offsets.
+    If both are georeferenced, the others are moved by the difference of their map offsets.
 
     Raises
     ------
@@ -127,3 +188,16 @@ def joined(sources: Sequence[Source]) -> Source:
                 source.georeference.offset, first.georeference.offset))
         models.append(gaussians)
     return replace(first, gaussians=merged(models), run=None, support=None)
+
+
+def _corners(text: str) -> NDArray[np.float64]:
+    try:
+        corners = np.array([[float(value) for value in corner.split(",")]
+                            for corner in text.split()])
+    except ValueError:
+        corners = np.empty(0)
+    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(
+            corners).all():
+        raise InputError(f"--polygon {text[:60]}: expects at least three corners such as "
+                         "\"0,0 10,0 10,10\", or a GeoJSON file")
+    return corners

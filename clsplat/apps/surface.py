@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clsplat.apps.contours import smoothed
 from clsplat.apps.geotiff import Raster
-from clsplat.io.models.las import Part, write_points
+from clsplat.io.models.points import Part, write_points
 from clsplat.report.map_legend import map_legend
 
 MOST_POINTS = 10_000_000  # of a LAZ file; a larger map gives a point to several pixels

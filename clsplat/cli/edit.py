@@ -85,15 +85,18 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
     Several models are merged. Each is cropped and cleaned first; then all are decimated and
     transformed together. Coordinates are the original ones of the scene.
     """
+    from dataclasses import replace
     from functools import partial
+
+    from scipy.spatial.transform import Rotation
 
     from clsplat.apps.edit import Source, joined
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
-    from clsplat.edit.harmonics import used_sh_degree
-    from clsplat.edit.transform import turn
-    from clsplat.io.models.formats import format_of, write_model
-    format_of(output)
+    from clsplat.edit.decimate import decimated
+    from clsplat.edit.select import used_sh_degree
+    from clsplat.io.models.formats import write_model, written_format
+    written_format(output)
     check_free(output, overwrite)
     if outside and not (box or polygon):
         raise InputError("--outside: has no effect without --box or --polygon")
@@ -112,9 +115,13 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
             sources.append(_cleaned(source, progress, min_opacity, max_size, min_support))
         source = joined(sources)
         if decimate is not None:
-            source = _decimated(source, progress, decimate)
+            count = round(decimate * source.gaussians.count) if decimate < 1 else int(decimate)
+            source = replace(source, gaussians=decimated(
+                source.gaussians, count, partial(progress.count, "merging gaussian")))
         if scale != 1 or rotate or any(translate):
-            source = source.transformed(scale, turn(rotate) if rotate else None, translate)
+            # about the fixed axes, x first
+            turn = Rotation.from_euler("xyz", rotate, degrees=True).as_matrix() if rotate else None
+            source = source.transformed(scale, turn, translate)
             if sources[0].georeference and not source.georeference:
                 progress.message("the georeference is left out: it does not hold after --scale or "
                                  "--rotate")
@@ -128,15 +135,11 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
 def _cropped(source: Source, progress: Progress, box: tuple[float, ...] | None,
              polygon: str | None, coordinates: str, outside: bool) -> Source:
     import numpy as np
-
-    from clsplat.apps.crop import box_in_scene, inside, polygons_of
-    from clsplat.edit.select import in_box
     keep = np.ones(source.gaussians.count, bool)
     if box:
-        points = source.gaussians.positions.astype(np.float64) + source.gaussians.offset
-        keep &= in_box(points, *box_in_scene(box, coordinates, source.georeference))
+        keep &= source.in_box(box, coordinates)
     if polygon:
-        keep &= inside(source, polygons_of(polygon, coordinates, source))
+        keep &= source.in_polygons(polygon, coordinates)
     keep ^= outside
     progress.message(f"{source.path}: {(~keep).sum():,} of {len(keep):,} gaussians are "
                      f"{'inside' if outside else 'outside'}")
@@ -146,17 +149,20 @@ def _cropped(source: Source, progress: Progress, box: tuple[float, ...] | None,
 def _cleaned(source: Source, progress: Progress, min_opacity: float, max_size: float | None,
              min_support: int) -> Source:
     """The source without floaters; one message for each reason."""
-    from clsplat.edit.select import neighbours, opaque, small
+    import numpy as np
+
+    from clsplat.edit.select import neighbours
+    from clsplat.io.models.values import opacities
 
     def without(source: Source, keep: NDArray[np.bool_], reason: str) -> Source:
         progress.message(f"{source.path}: {(~keep).sum():,} gaussians {reason}")
         return source.kept(keep)
 
     if min_opacity:
-        source = without(source, opaque(source.gaussians, min_opacity),
+        source = without(source, opacities(source.gaussians) >= min_opacity,
                          f"are less opaque than {min_opacity:g}")
     if max_size is not None:
-        source = without(source, small(source.gaussians, max_size),
+        source = without(source, source.gaussians.log_scales.max(axis=1) <= np.log(max_size),
                          f"are larger than {max_size:g}")
     if min_support and source.support is not None:
         source = without(source, source.support >= min_support,
@@ -165,13 +171,3 @@ def _cleaned(source: Source, progress: Progress, min_opacity: float, max_size: f
         source = without(source, neighbours(source.gaussians, min_support) >= min_support,
                          f"have fewer than {min_support} neighbours")
     return source
-
-
-def _decimated(source: Source, progress: Progress, amount: float) -> Source:
-    from dataclasses import replace
-
-    from clsplat.edit.decimate import decimated
-    count = max(1, round(amount * source.gaussians.count)) if amount < 1 else int(amount)
-    return replace(source, gaussians=decimated(
-        source.gaussians, count,
-        lambda done, total: progress.count("merging gaussian", done, total)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,9 +12,6 @@ from clsplat.cli.flags import FiniteRange, check_free, everything_flag
 from clsplat.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from clsplat.cli.progress import Progress
     from clsplat.evaluation.run import Run
 
@@ -23,8 +19,8 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
-              help="File to write; its suffix selects the format: .ply, .compressed.ply, .sog, "
-              ".spz, .glb, points as .las or .laz, or .html, a page for the browser. "
+              help="File to write; its suffix selects the format: .ply, .sog, .spz, .glb, points "
+              "as .las or .laz, or .html, a page for the browser. "
               "Without a suffix: a folder of 3D Tiles with levels of detail.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--upright", is_flag=True, help="Turn the model so that up is -y, as most viewers "
@@ -54,8 +50,7 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
     from clsplat.apps.models import photos_of, supported, write_run_model
     from clsplat.apps.tiles import write_run_tiles
     from clsplat.cli.progress import Progress
-    from clsplat.edit.harmonics import used_sh_degree
-    from clsplat.edit.select import alive, selected
+    from clsplat.edit.select import alive, selected, used_sh_degree
     from clsplat.evaluation.run import Run
     from clsplat.report.model_page import write_run_page
     is_page, is_folder = output.suffix.lower() == ".html", not output.suffix
@@ -88,17 +83,14 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
         if photos and not everything:
             keep[keep] = supported(selected(gaussians, keep), photos)
         progress.phase(f"writing {output}")
-        if _is_plain_ply(output) and not upright:
-            _copy(source, output, keep, degree, gaussians.sh_degree)
+        part = selected(gaussians, keep).with_sh_degree(degree)
+        if is_folder:
+            tree = write_run_tiles(output, opened, part, not plain_tiles,
+                                   partial(progress.count, "tile"))
+        elif is_page:
+            write_run_page(output, opened, part, photos)
         else:
-            part = selected(gaussians, keep).with_sh_degree(degree)
-            if is_folder:
-                tree = write_run_tiles(output, opened, part, not plain_tiles,
-                                       partial(progress.count, "tile"))
-            elif is_page:
-                write_run_page(output, opened, part, photos)
-            else:
-                write_run_model(output, opened, part, upright)
+            write_run_model(output, opened, part, upright)
     if is_folder:
         tiles = sum(1 for _ in tree.all())
         click.echo(f"{output}/tileset.json: {tiles:,} {'tile' if tiles == 1 else 'tiles'}")
@@ -110,41 +102,15 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
 
 
 def _check_format(output: Path, is_other: bool, upright: bool, plain_tiles: bool) -> bool:
-    """Whether a format holds spherical harmonics; InputError if it does not fit the options.
-
-    Parameters
-    ----------
-    is_other : whether it is a page or a folder of tiles, which `io.models` does not know.
-    """
-    from clsplat.io.models.formats import format_of
+    """Whether a format, or the page or folder that is another one, holds spherical harmonics;
+    InputError if it does not fit the options."""
+    from clsplat.io.models.formats import written_format
     if upright and is_other:
         raise InputError("--upright: pages and 3D Tiles are upright; leave it out")
     if plain_tiles and output.suffix:
         raise InputError("--plain-tiles: is for a folder of 3D Tiles; leave it out, or name an "
                          "--output without a suffix")
-    if is_other:
-        return True
-    try:
-        return format_of(output).harmonics
-    except InputError as error:
-        raise InputError(f"{error}; .html (a page for the browser); none (a folder of 3D Tiles)"
-                         ) from None
-
-
-def _is_plain_ply(output: Path) -> bool:
-    name = output.name.lower()
-    return name.endswith(".ply") and not name.endswith(".compressed.ply")
-
-
-def _copy(source: Path, output: Path, keep: NDArray[np.bool_], degree: int, highest: int) -> None:
-    """Copy a run's PLY, without rounding, or the part of it that is wanted."""
-    from clsplat.io.atomic import replacing
-    from clsplat.io.models.ply import write_part
-    if keep.all() and degree == highest:
-        with open(source, "rb") as model, replacing(output) as copy:
-            shutil.copyfileobj(model, copy)
-    else:
-        write_part(output, source, keep, degree)
+    return is_other or written_format(output).harmonics
 
 
 def _wanted_degree(wanted: str, opened: Run, highest: int, device: str, cost: float,

@@ -75,7 +75,7 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
-    from clsplat.io.models.las import laspy_for
+    from clsplat.io.models.points import laspy_for
     for name in FILES:
         check_free(output / name, overwrite)
     opened = Run.open(run)

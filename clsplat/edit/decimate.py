@@ -1,10 +1,7 @@
 """Fewer gaussians that look almost the same: neighbours are merged, pair by pair.
 
-Measured on boruszyn, 96,469 gaussians, held-out views: renders of half and of a quarter of the
-gaussians have 36.3 and 30.3 dB against those of all. Keeping the most important ones instead, by
-what they contribute to the training views, gives 30.8 and 22.3 dB: holes open where many faint
-gaussians lay over each other (docs/guide/edit.md has the table). Merging first what the views see
-least of gave 36.1 and 29.8 dB, and is not worth to render them.
+To keep the most important gaussians instead, by what they contribute to the training views, leaves
+holes where many faint ones lay over each other (docs/guide/edit.md has the measurement).
 """
 
 from __future__ import annotations
@@ -33,25 +30,15 @@ TINY = 1e-300
 
 @dataclass(eq=False)
 class _Mixture:
-    """Gaussians while they are merged; arrays have a row each.
+    """Gaussians while they are merged; arrays have a row each."""
 
-    Attributes
-    ----------
-    source : int[N], the row of the model that it was, or one of those that it was.
-    merged : bool[N], whether it is more than one row of the model.
-    positions, covariances : float64[N, 3] and [N, 3, 3].
-    sh : float32[N, 1 + bands, 3].
-    opacities : float64[N].
-    masses : float64[N], opacity times area: how much of an image it covers.
-    """
-
-    source: NDArray[np.intp]
-    merged: NDArray[np.bool_]
-    positions: NDArray[np.float64]
-    covariances: NDArray[np.float64]
-    sh: NDArray[np.float32]
-    opacities: NDArray[np.float64]
-    masses: NDArray[np.float64]
+    source: NDArray[np.intp]  # [N], the row of the model that it was, or one of those
+    merged: NDArray[np.bool_]  # [N], whether it is more than one row of the model
+    positions: NDArray[np.float64]  # [N, 3]
+    covariances: NDArray[np.float64]  # [N, 3, 3]
+    sh: NDArray[np.float32]  # [N, 1 + bands, 3]
+    opacities: NDArray[np.float64]  # [N]
+    masses: NDArray[np.float64]  # [N], opacity times area: how much of an image it covers
 
     @property
     def count(self) -> int:
@@ -77,16 +64,14 @@ def decimated(gaussians: Gaussians, count: int,
     progress : called with the number of gaussians that are removed, and to be removed.
     """
     gaussians = gaussians.without_spheres()
-    goal = gaussians.count - max(1, count)
-    if goal <= 0:
-        return gaussians
-    mixture = _mixture(gaussians)
-    while mixture.count > max(1, count):
-        most = min(mixture.count - max(1, count), max(1, int(ROUND_SHARE * mixture.count)))
+    count = max(1, count)
+    mixture, goal = _mixture(gaussians), gaussians.count - count
+    while mixture.count > count:
+        most = min(mixture.count - count, max(1, int(ROUND_SHARE * mixture.count)))
         _merge(mixture, *_cheapest_pairs(mixture, most))
         if progress:
             progress(gaussians.count - mixture.count, goal)
-    return _model(gaussians, mixture)
+    return _model(gaussians, mixture) if goal > 0 else gaussians
 
 
 def _mixture(gaussians: Gaussians) -> _Mixture:

@@ -1,9 +1,9 @@
-"""Which gaussians of a model to keep: those in a box or in polygons, without floaters."""
+"""Which gaussians of a model to keep: those in polygons, without floaters."""
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from clsplat.constants import ALPHA_STEPS
@@ -26,12 +26,6 @@ def selected(gaussians: Gaussians, keep: NDArray[np.bool_] | NDArray[np.intp]) -
                      gaussians.sh_degree, gaussians.offset)
 
 
-def in_box(points: NDArray[np.float64], low: ArrayLike, high: ArrayLike) -> NDArray[np.bool_]:
-    """bool[N]: whether points [N, 3] lie in a box; -inf and inf leave a side open."""
-    inside = (points >= np.asarray(low, np.float64)) & (points <= np.asarray(high, np.float64))
-    return np.asarray(inside.all(axis=1))
-
-
 def in_polygons(points: NDArray[np.float64], polygons: Sequence[Polygon]) -> NDArray[np.bool_]:
     """bool[N]: whether points [N, 2] lie in one of some polygons, but not in its holes."""
     inside = np.zeros(len(points), bool)
@@ -49,24 +43,17 @@ def in_polygons(points: NDArray[np.float64], polygons: Sequence[Polygon]) -> NDA
     return inside
 
 
+def used_sh_degree(gaussians: Gaussians) -> int:
+    """The highest degree of the spherical harmonics that is not zero everywhere."""
+    degree = gaussians.sh_degree
+    while degree and not gaussians.sh_rest[:, degree**2 - 1:(degree + 1) ** 2 - 1].any():
+        degree -= 1
+    return degree
+
+
 def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """[N]: whether a gaussian is visible at all.
-
-    Its alpha is at most its opacity, and the renderer skips alpha below 1 / ALPHA_STEPS: without
-    the invisible gaussians every image has the same bytes.
-    """
+    """bool[N]: whether gaussians are visible: the renderer skips alpha below 1 / ALPHA_STEPS."""
     return opacities(gaussians) >= 1 / ALPHA_STEPS
-
-
-def opaque(gaussians: Gaussians, opacity: float) -> NDArray[np.bool_]:
-    """bool[N]: whether gaussians have at least an opacity, 0 to 1."""
-    return opacities(gaussians) >= opacity
-
-
-def small(gaussians: Gaussians, sigma: float) -> NDArray[np.bool_]:
-    """bool[N]: whether the largest standard deviation of gaussians is at most this, world units."""
-    with np.errstate(over="ignore"):
-        return np.asarray(np.exp(gaussians.log_scales.astype(np.float64)).max(axis=1) <= sigma)
 
 
 def neighbours(gaussians: Gaussians, most: int) -> NDArray[np.intp]:

@@ -18,19 +18,29 @@ CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # control characters 
 
 
 @contextmanager
-def reading(path: Path, what: str, cure: str = "export it again") -> Iterator[None]:
-    """Report what fails in a file while it is read as one line.
+def reading(path: str | Path, what: str, cure: str = "export or copy it again") -> Iterator[None]:
+    """Report any failure to read a file as one line: libraries raise many kinds of exceptions for
+    damaged files.
 
     Parameters
     ----------
     what : the format with its article, for the message.
     """
     try:
-        yield
+        with np.errstate(over="ignore", invalid="ignore"):  # results are checked
+            yield
     except InputError:
         raise
-    except (ValueError, TypeError, LookupError, OverflowError, OSError) as error:
-        raise InputError(f"{path}: not {what}, or damaged ({reason(error)}); {cure}") from None
+    except FileNotFoundError as error:  # of the file, or of one that it names
+        raise InputError(f"{error.filename or path}: no such file; check the path") from None
+    except ImportError as error:
+        raise InputError(f"{path}: {reason(error)}") from None
+    except MemoryError:
+        raise InputError(f"{path}: not enough memory to read it; free some, or give a smaller "
+                         "file") from None
+    except Exception as error:
+        raise InputError(f"{path}: not {what}, damaged or cut short ({reason(error)}); {cure}"
+                         ) from None
 
 
 def number(value: object, what: str) -> float:

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from clsplat.edit.harmonics import used_sh_degree
-from clsplat.edit.select import selected
+from clsplat.edit.select import selected, used_sh_degree
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians

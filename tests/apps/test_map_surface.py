@@ -15,7 +15,7 @@ from clsplat.apps.map import write_map
 from clsplat.apps.map_grid import TILE, MapGrid, map_grid
 from clsplat.gaussians import Gaussians
 from clsplat.io.georeference.crs import map_crs
-from clsplat.io.models.las import write_points
+from clsplat.io.models.points import write_points
 from clsplat.options import TrainOptions
 from tests.apps.test_map import drawn, rasters, run_of
 from tests.data import ground_model as made

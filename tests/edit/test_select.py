@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from clsplat.edit.select import in_box, in_polygons, merged, neighbours, opaque, selected, small
+from clsplat.edit.select import in_polygons, merged, neighbours, selected
 from clsplat.errors import InputError
 from tests.data.cloud import cloud
 
@@ -20,24 +20,6 @@ def test_polygons():
     grid = np.stack(np.meshgrid(np.arange(12.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
     counts = sum(in_polygons(grid, [tile]).astype(int) for tile in tiles)
     assert (counts == 1).all(), "a border belongs to one side"
-
-
-def test_boxes():
-    points = np.array([[0.0, 0, 0], [1, 2, 3], [9, 2, 3]])
-    assert in_box(points, (-1, -1, -1), (2, 2, 3)).tolist() == [True, True, False]
-    assert in_box(points, (0.5, -np.inf, -np.inf), np.full(3, np.inf)).tolist() == [
-        False, True, True]
-
-
-def test_opacity_and_size():
-    model = cloud(3)
-    model.rows["opacity_logits"][:] = [-5, 0, 800]
-    assert opaque(model, 0.5).tolist() == [False, True, True]
-    assert opaque(model, 0.0).all()
-    model.rows["log_scales"][:] = np.log([[0.1, 0.1, 0.1], [0.1, 2, 0.1], [1, 1, 1]])
-    assert small(model, 1.5).tolist() == [True, False, True]
-    kept = selected(model, small(model, 1.5))
-    assert kept.count == 2 and (kept.positions == model.positions[[0, 2]]).all()
 
 
 @pytest.mark.parametrize("unit", [1.0, 1000.0])

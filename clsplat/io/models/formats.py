@@ -1,8 +1,8 @@
 """Models in files of every format: the suffix of a name selects the format."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,43 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io.models.compressed_ply import (
-    compressed_gaussians,
-    is_compressed,
-    write_compressed_ply,
-)
+from clsplat.io.models.compressed_ply import compressed_gaussians, is_compressed
 from clsplat.io.models.gltf import glb_notes, read_glb, write_glb
-from clsplat.io.models.las import read_las, write_las
-from clsplat.io.models.ply import gaussians_of, read_elements, write_ply
-from clsplat.io.models.points import is_cloud, ply_cloud
+from clsplat.io.models.ply import gaussians_of, read_elements, read_vertices, write_ply
+from clsplat.io.models.points import is_cloud, ply_cloud, read_las, write_las
 from clsplat.io.models.sog import is_unbundled, read_sog, sog_notes, write_sog
 from clsplat.io.models.splat_file import read_splat
 from clsplat.io.models.spz import read_spz, spz_notes, write_spz
 from clsplat.io.models.values import Notes
-
-
-@dataclass(frozen=True)
-class Format:
-    """A format of models.
-
-    Attributes
-    ----------
-    what : what it is, in a few words.
-    read : called with the path and the offset of `read_model`, and if it has map coordinates
-        with the CRS of the scene.
-    write : called with the path, the gaussians and the notes of `write_model`; None: it is read
-        only.
-    harmonics : whether it holds spherical harmonics above the constant.
-    map_coordinates : whether files of a georeferenced scene hold map coordinates.
-    notes : called with the path; returns what the file holds besides its gaussians.
-    """
-
-    what: str
-    read: Callable[..., Gaussians]
-    write: Callable[[Path, Gaussians, Notes], None] | None = None
-    harmonics: bool = True
-    map_coordinates: bool = False
-    notes: Callable[[Path], Notes] = lambda _: Notes()
 
 
 def _read_ply(path: Path, offset: NDArray[np.float64] | None) -> Gaussians:
@@ -62,32 +33,35 @@ def _read_ply(path: Path, offset: NDArray[np.float64] | None) -> Gaussians:
     return gaussians_of(path, elements["vertex"], comments, offset)
 
 
-def _ply_notes(path: Path) -> Notes:
-    return Notes.of_lines(read_elements(path)[1])
+class Format(NamedTuple):
+    """A format of models: what it is, its functions, and what it holds."""
+
+    what: str
+    read: Callable[..., Gaussians]  # called as `read_model`; with map coordinates: and a CRS
+    write: Callable[[Path, Gaussians, Notes], None] | None = None  # None: it is only read
+    notes: Callable[[Path], Notes] = lambda _: Notes()
+    harmonics: bool = True  # above the constant
+    map_coordinates: bool = False  # in files of a georeferenced scene
 
 
-def _write_ply(path: Path, gaussians: Gaussians, notes: Notes) -> None:
-    write_ply(path, gaussians, gaussians.offset, notes.lines)
-
-
-# a longer suffix stands before the one with which it ends
+PLY = Format("the format of Kerbl et al. 2023, which splat viewers open", _read_ply,
+             lambda path, gaussians, notes: write_ply(path, gaussians, gaussians.offset,
+                                                      notes.lines),
+             lambda path: Notes.of_lines(read_elements(path)[1]))
 FORMATS = {
-    ".compressed.ply": Format("the format of SuperSplat, about a quarter of a PLY", _read_ply,
-                              write_compressed_ply, notes=_ply_notes),
-    ".ply": Format("the format of Kerbl et al. 2023, which splat viewers open", _read_ply,
-                   _write_ply, notes=_ply_notes),
-    ".sog": Format("the format of PlayCanvas, the smallest", read_sog, write_sog,
-                   notes=sog_notes),
-    ".spz": Format("the format of Niantic, small", read_spz, write_spz, notes=spz_notes),
-    ".glb": Format("glTF with KHR_gaussian_splatting", read_glb, write_glb,
-                   notes=glb_notes),
+    ".ply": PLY,
+    ".sog": Format("the format of PlayCanvas, the smallest", read_sog, write_sog, sog_notes),
+    ".spz": Format("the format of Niantic, small", read_spz, write_spz, spz_notes),
+    ".glb": Format("glTF with KHR_gaussian_splatting", read_glb, write_glb, glb_notes),
     ".laz": Format("points for maps, compressed", read_las, write_las, harmonics=False,
                    map_coordinates=True),
     ".las": Format("points for maps", read_las, write_las, harmonics=False, map_coordinates=True),
 }
 SUFFIXES = tuple(FORMATS)
-# a format of earlier years, which is read only
-READ = {**FORMATS, ".splat": Format("of antimatter15's viewer", read_splat)}
+# formats of earlier years, or of other programs, which are read only; a longer suffix stands before
+# the one with which it ends
+READ = {".compressed.ply": PLY._replace(what="the format of SuperSplat", write=None), **FORMATS,
+        ".splat": Format("of antimatter15's viewer", read_splat)}
 
 
 def read_model(path: str | Path, offset: ArrayLike | None = None,
@@ -123,18 +97,17 @@ def count_of(path: str | Path) -> int:
     Of a PLY only the header is read, unless its rows are text.
     """
     path, kind = Path(path), _stored_format(path)
-    if kind.read is not _read_ply:
-        return kind.read(path, None).count
-    elements, _ = read_elements(path)
-    return int(elements["vertex"].count) if "vertex" in elements else 0
+    if kind.read is _read_ply:
+        return int(read_vertices(path)[0].count)
+    return kind.read(path, None).count
 
 
 def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] = (),
                 up: ArrayLike | None = None, georeference: Georeference | None = None) -> None:
     """Write gaussians in original coordinates; the file is replaced as a whole.
 
-    Formats in single precision hold coordinates relative to the offset where original ones would
-    lose digits, and record the offset. LAS and LAZ hold map coordinates.
+    Formats in single precision hold coordinates relative to the offset if original ones would lose
+    digits, and record the offset. LAS and LAZ hold map coordinates.
 
     Parameters
     ----------
@@ -145,12 +118,12 @@ def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] 
 
     Raises
     ------
-    InputError : the suffix is unknown, the format cannot hold these gaussians, or the file cannot
-        be written.
+    InputError : the suffix is unknown or read only, the format cannot hold these gaussians, or the
+        file cannot be written.
     """
     path = Path(path)
     notes = Notes(tuple(comments), None if up is None else np.asarray(up, np.float64), georeference)
-    write = format_of(path).write
+    write = written_format(path).write
     assert write is not None
     write(path, gaussians, notes)
 
@@ -167,13 +140,20 @@ def is_model(path: str | Path) -> bool:
     return not path.is_dir() or is_unbundled(path)
 
 
+def written_format(path: str | Path) -> Format:
+    """The format of a file that is written; InputError if its suffix is unknown or read only."""
+    if Path(path).name.lower().endswith(".compressed.ply"):
+        raise InputError(f"{path}: compressed PLY is only read; write .sog or .spz, which are "
+                         "smaller, or .ply")
+    return _format_of(path, FORMATS)
+
+
 def _stored_format(path: str | Path) -> Format:
     """The format of a file that is read."""
-    return FORMATS[".sog"] if is_unbundled(Path(path)) else format_of(path, READ)
+    return FORMATS[".sog"] if is_unbundled(Path(path)) else _format_of(path, READ)
 
 
-def format_of(path: str | Path, formats: Mapping[str, Format] = FORMATS) -> Format:
-    """The format of a file name among `formats`; InputError if its suffix is unknown."""
+def _format_of(path: str | Path, formats: Mapping[str, Format]) -> Format:
     name = Path(path).name.lower()
     for suffix, kind in formats.items():
         if name.endswith(suffix):

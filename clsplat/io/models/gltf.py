@@ -19,24 +19,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.special import expit
 
-from clsplat.gaussians import Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.atomic import replacing
+from clsplat.io.fields import reading
 from clsplat.io.models.quantise import unit
 from clsplat.io.models.spz import packed_spz, unpacked_spz
 from clsplat.io.models.values import (
+    LARGEST_LOG_SCALE,
+    OPACITY_STEPS,
     Notes,
     colours_of,
-    doubles,
     gaussians_of,
     half_turn,
     log_scales_of,
     logits,
-    opacities,
-    reading,
-    scales_of,
     stored_positions,
-    to_bytes,
+    stored_rows,
 )
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
@@ -47,38 +47,45 @@ COMPRESSION = "KHR_gaussian_splatting_compression_spz_2"
 HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 MAGIC, VERSION, JSON, BINARY = b"glTF", 2, b"JSON", b"BIN\0"
 FLOAT, UNSIGNED_BYTE, ARRAY_BUFFER, POINTS = 5126, 5121, 34962, 0
-COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
+COMPONENTS = {5120: "<i1", UNSIGNED_BYTE: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4",
+              FLOAT: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-BANDS = (1, 3, 5, 7)  # coefficients of a degree
+# the attributes but for harmonics: name, field, columns, and what makes one from the field and back
+ATTRIBUTES: tuple[tuple[str, str, int, Callable[..., Any], Callable[..., Any]], ...] = (
+    ("POSITION", "positions", 3, np.asarray, np.asarray),
+    (f"{EXTENSION}:ROTATION", "quaternions", 4, lambda wxyz: np.roll(unit(wxyz), -1, axis=1),
+     lambda xyzw: np.roll(xyzw, 1, axis=1)),
+    (f"{EXTENSION}:SCALE", "log_scales", 3,
+     lambda logs: np.exp(np.clip(logs, -LARGEST_LOG_SCALE, LARGEST_LOG_SCALE)), log_scales_of),
+    (f"{EXTENSION}:OPACITY", "opacity_logits", 1, expit, lambda column: logits(column[:, 0])),
+    (f"{EXTENSION}:SH_DEGREE_0_COEF_0", "sh_constant", 3, np.asarray, np.asarray))
+HARMONICS = [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}" for degree in (1, 2, 3)
+             for number in range(2 * degree + 1)]
 TURN = np.array([-1.0, -1.0, 1.0])  # half a turn about z
 UPRIGHT = "clsplat: upright"  # the node whose rotation is for viewers, and not read back
 # SPZ has y and z of a model the other way round; of these, z becomes y (columns)
 STORED_TO_Y_UP = (1.0, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1)
-XYZW, WXYZ = [1, 2, 3, 0], [3, 0, 1, 2]  # the order of components in the other convention
 
 
 def write_glb(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     """Write gaussians as binary glTF; see `models.write_model`.
 
-    Notes become `asset.extras.comments`. Programs without the extension show the
-    gaussians as coloured points.
+    Notes become `asset.extras.comments`. Programs without the extension show the gaussians as
+    coloured points.
     """
     positions, origin = stored_positions(gaussians)
-    order = np.arange(gaussians.count)
-    rows = half_turn({**doubles(gaussians, order), "positions": positions}, axis=2)
-    opacity = opacities(gaussians)
-    attributes: dict[str, NDArray[Any]] = {
-        "POSITION": rows["positions"],
-        "COLOR_0": to_bytes(255 * np.column_stack([colours_of(rows["sh_constant"]), opacity])),
-        f"{EXTENSION}:ROTATION": unit(rows["quaternions"])[:, XYZW],
-        f"{EXTENSION}:SCALE": scales_of(rows["log_scales"]),
-        f"{EXTENSION}:OPACITY": opacity,
-        f"{EXTENSION}:SH_DEGREE_0_COEF_0": rows["sh_constant"]}
-    names = (name for degree in range(1, gaussians.sh_degree + 1) for name in coefficients(degree))
-    attributes.update(zip(names, rows["sh_rest"].transpose(1, 0, 2)))
+    rows = half_turn(stored_rows(gaussians, positions), axis=2)
+    attributes = {name: encode(rows[field]) for name, field, _, encode, _ in ATTRIBUTES}
+    attributes |= zip(HARMONICS, rows["sh_rest"].transpose(1, 0, 2))
+    opacity = attributes[f"{EXTENSION}:OPACITY"]
+    attributes["COLOR_0"] = OPACITY_STEPS.bytes(
+        np.column_stack([colours_of(rows["sh_constant"]), opacity]))
+    root: dict[str, Any] = {"name": UPRIGHT, "children": [1]}
+    if notes.up is not None:
+        turn, _ = Rotation.align_vectors([(0.0, 1.0, 0.0)], [notes.up * TURN])
+        root["rotation"] = turn.as_quat().tolist()
     place: dict[str, Any] = {"name": "gaussians", "translation": (origin * TURN).tolist()}
-    document: dict[str, Any] = {"extensionsUsed": [EXTENSION], "nodes": [
-        {"name": UPRIGHT, **_upright(notes), "children": [1]}, place]}
+    document: dict[str, Any] = {"extensionsUsed": [EXTENSION], "nodes": [root, place]}
     content = b""
     if gaussians.count:  # glTF has no empty accessors
         place["mesh"] = 0
@@ -107,8 +114,7 @@ def write_spz_glb(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()
         "POSITION": {"type": "VEC3", **_bounds(stored)},
         "COLOR_0": {"type": "VEC4", "componentType": UNSIGNED_BYTE, "normalized": True},
         f"{EXTENSION}:SCALE": {"type": "VEC3"}, f"{EXTENSION}:ROTATION": {"type": "VEC4"},
-        **{name: {"type": "VEC3"} for number in range(1, degree + 1)
-           for name in coefficients(number)}}
+        **{name: {"type": "VEC3"} for name in HARMONICS[:(degree + 1) ** 2 - 1]}}
     both = [EXTENSION, COMPRESSION]
     document = {
         "extensionsUsed": both, "extensionsRequired": both,
@@ -121,7 +127,6 @@ def write_spz_glb(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()
 
 
 def _write(path: Path, document: dict[str, Any], comments: Iterable[str], content: bytes) -> None:
-    """Write a binary glTF of a document and its buffer; the file is replaced as a whole."""
     document = {
         "asset": {"version": "2.0", "generator": "clsplat",
                   "extras": {"comments": list(comments)}},
@@ -132,9 +137,9 @@ def _write(path: Path, document: dict[str, Any], comments: Iterable[str], conten
     chunks = [(text + b" " * (-len(text) % 4), JSON)]
     if content:
         chunks.append((content + b"\0" * (-len(content) % 4), BINARY))
-    size = HEADER.size + sum(CHUNK.size + len(data) for data, _ in chunks)
     with replacing(path) as file:
-        file.write(HEADER.pack(MAGIC, VERSION, size))
+        file.write(HEADER.pack(MAGIC, VERSION, HEADER.size + sum(
+            CHUNK.size + len(data) for data, _ in chunks)))
         for data, kind in chunks:
             file.write(CHUNK.pack(len(data), kind))
             file.write(data)
@@ -147,13 +152,21 @@ def read_glb(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians
     """
     with reading(path, f"a binary glTF with {EXTENSION}"):
         document, content = _chunks(read_regular(path))
-        parts, size = [], 0
+        parts = [{each.name: np.zeros((0, *each.row_shape(0))) for each in LEARNED}]
+        origin, size = None, 0
         for primitive, place in _primitives(document):
-            parts.append((_rows(document, content, primitive), place))
-            size += sum(values.nbytes for values in parts[-1][0].values())
+            origin = place if origin is None else origin  # that of the first
+            parts.append(_rows(document, content, primitive))
+            parts[-1]["positions"] = parts[-1]["positions"] + (place - origin)
+            size += sum(values.nbytes for values in parts[-1].values())
             check_expansion(len(content), size)  # many primitives may name the same gaussians
-        rows, origin = _joined(parts)
-        return gaussians_of(path, half_turn(rows, axis=2), origin * TURN, offset)
+        bands = max(rows["sh_rest"].shape[1] for rows in parts)
+        for rows in parts:
+            missing = bands - rows["sh_rest"].shape[1]
+            rows["sh_rest"] = np.pad(rows["sh_rest"], ((0, 0), (0, missing), (0, 0)))
+        joined = {name: np.concatenate([rows[name] for rows in parts]) for name in parts[0]}
+        return gaussians_of(path, half_turn(joined, axis=2),
+                            np.zeros(3) if origin is None else origin * TURN, offset)
 
 
 def glb_notes(path: Path) -> Notes:
@@ -163,19 +176,6 @@ def glb_notes(path: Path) -> Notes:
         extras = asset.get("extras") if isinstance(asset, dict) else None
         comments = extras.get("comments") if isinstance(extras, dict) else None
         return Notes.of_lines(line for line in comments or () if isinstance(line, str))
-
-
-def coefficients(degree: int) -> list[str]:
-    """The names of the harmonics of a degree."""
-    return [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}" for number in range(BANDS[degree])]
-
-
-def _upright(notes: Notes) -> dict[str, Any]:
-    """The rotation of a node that turns what is up to y."""
-    if notes.up is None:
-        return {}
-    turn, _ = Rotation.align_vectors([(0.0, 1.0, 0.0)], [notes.up * TURN])
-    return {"rotation": turn.as_quat().tolist()}
 
 
 def _mesh(attributes: Iterable[str], **details: Any) -> dict[str, Any]:
@@ -292,20 +292,12 @@ def _rows(document: dict[str, Any], content: bytes, primitive: dict[str, Any]
             result = np.maximum(result / np.iinfo(raw.dtype).max, -1)
         return result
 
-    degree = 0
-    while degree < len(BANDS) - 1 and all(
-            name in attributes for name in coefficients(degree + 1)):
-        degree += 1
-    positions = values("POSITION", 3)
-    rest = [values(name, 3) for number in range(1, degree + 1) for name in coefficients(number)]
-    rows = {
-        "positions": positions,
-        "sh_constant": values(f"{EXTENSION}:SH_DEGREE_0_COEF_0", 3),
-        "sh_rest": np.stack(rest, axis=1) if rest else np.zeros((len(positions), 0, 3)),
-        "opacity_logits": logits(values(f"{EXTENSION}:OPACITY", 1)[:, 0]),
-        "log_scales": log_scales_of(values(f"{EXTENSION}:SCALE", 3)),
-        "quaternions": values(f"{EXTENSION}:ROTATION", 4)[:, WXYZ],
-    }
+    rows = {field: decode(values(name, width)) for name, field, width, _, decode in ATTRIBUTES}
+    bands = max(count for count in (0, 3, 8, 15)
+                if all(name in attributes for name in HARMONICS[:count]))
+    rows["sh_rest"] = np.zeros((len(rows["positions"]), bands, 3))
+    for band, name in enumerate(HARMONICS[:bands]):
+        rows["sh_rest"][:, band] = values(name, 3)
     if len({len(column) for column in rows.values()}) != 1:
         raise ValueError("its attributes differ in number")
     return rows
@@ -337,22 +329,3 @@ def accessor(document: dict[str, Any], number: int, width: int,
     check_expansion(len(content), 8 * width * count)
     # numpy compares the place with the size of the content
     return np.ndarray((count, width), kind, content, start, (stride, kind.itemsize))
-
-
-def _joined(parts: list[tuple[dict[str, NDArray[np.float64]], NDArray[np.float64]]]
-            ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.float64]]:
-    """One model of several, relative to the translation of the first."""
-    empty = {"positions": (0, 3), "sh_constant": (0, 3), "sh_rest": (0, 0, 3),
-             "opacity_logits": (0,), "log_scales": (0, 3), "quaternions": (0, 4)}
-    origin = parts[0][1] if parts else np.zeros(3)
-    bands = max((rows["sh_rest"].shape[1] for rows, _ in parts), default=0)
-    columns: dict[str, list[NDArray[np.float64]]] = {
-        name: [np.zeros(shape)] for name, shape in empty.items()}
-    columns["sh_rest"] = [np.zeros((0, bands, 3))]
-    for rows, place in parts:
-        missing = bands - rows["sh_rest"].shape[1]
-        moved = {"positions": rows["positions"] + (place - origin),
-                 "sh_rest": np.pad(rows["sh_rest"], ((0, 0), (0, missing), (0, 0)))}
-        for name, values in {**rows, **moved}.items():
-            columns[name].append(values)
-    return {name: np.concatenate(values) for name, values in columns.items()}, origin

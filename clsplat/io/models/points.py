@@ -1,20 +1,43 @@
-"""Clouds of points with colours, as the gaussians from which a training starts."""
+"""Points with colours as gaussians: those of a PLY, and of LAS and LAZ, the formats of laser
+scanners and of maps.
 
+In LAS and LAZ, gaussians are written as their centres, with colour, and with opacity as the
+intensity. They have map coordinates if the scene is georeferenced: the format has room for large
+numbers.
+"""
+
+import logging
+import struct
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import plyfile
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.fields import LARGEST_COORDINATE
-from clsplat.io.models.usable import usable
+from clsplat.io.atomic import replacing
+from clsplat.io.fields import LARGEST_COORDINATE, reading
+from clsplat.io.georeference.crs import cloud_on_map, pyproj_crs
+from clsplat.io.models.values import Notes, colours_of, opacities, usable
+from clsplat.io.reason import clean, reason
+from clsplat.io.regular import open_regular
+from clsplat.io.unpack import check_expansion
 
-COLOURS = ("red", "green", "blue")
 GREY = 128
 FAR = 1e4  # units from the origin, from which a cloud gets local coordinates of its own
+VERSION, POINT_FORMAT = "1.4", 7  # with colours of 16 bits, and a CRS as WKT
+STEPS = (1 << 31) - 1  # of a coordinate, above and below its offset
+FINEST_STEP, STEPS_A_SCALE = 1e-6, 10
+ROWS_AT_A_TIME = 1 << 20
+COLOURS = ("red", "green", "blue")
+HEADER, RECORD_HEAD_BYTES = struct.Struct("<96xII"), 54  # offset to the points, records before them
+RECORD_BYTES = 24  # that are read of a point: three coordinates and three colours
+Part = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]
 
 
 def is_cloud(element: plyfile.PlyElement) -> bool:
@@ -34,48 +57,164 @@ def ply_cloud(path: Path, element: plyfile.PlyElement, offset: NDArray[np.float6
     if all(name in rows.dtype.names and rows.dtype[name].kind in "fiu" for name in COLOURS):
         colours = np.stack([rows[name] for name in COLOURS], axis=1)
     points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
-    return cloud_gaussians(path, points, colours, offset)
+    return _cloud(path, points, colours, offset)
 
 
-def cloud_gaussians(path: Path, points: NDArray[np.float64],
-                    colours: NDArray[np.generic] | None, offset: NDArray[np.float64] | None
-                    ) -> Gaussians:
-    """Gaussians on points, of SH degree 0, in local coordinates.
-
-    Parameters
-    ----------
-    path : the file that messages name.
-    points : float64[N, 3], original coordinates.
-    colours : [N, 3], of 8 or 16 bits, or float from 0 to 1; None: grey.
-    offset : float64[3], original coordinates of the origin of the local ones; None: zero, or, far
-        from there, the middle of the points in whole units.
-
-    Raises
-    ------
-    InputError : fewer than two places, or more than half of the coordinates are not finite or too
-        large; see `usable.usable`.
-    """
+def _cloud(path: Path, points: NDArray[np.float64], colours: NDArray[np.generic] | None,
+           offset: NDArray[np.float64] | None) -> Gaussians:
+    """Gaussians on points in original coordinates; colours have 8 or 16 bits, or are float from 0
+    to 1. Without an offset: that of points far from the origin is their middle in whole units."""
     rows: dict[str, NDArray[Any]] = {
         "positions": np.where(np.abs(points) <= LARGEST_COORDINATE, points, np.nan)}
     if colours is not None:
         rows["colours"] = np.nan_to_num(colours)
     rows = usable(path, rows)
-    points, colours = rows["positions"], rows.get("colours")
+    points = rows["positions"]
     if not len(points) or (points == points[0]).all():
         raise InputError(f"{path}: its {len(points)} points have fewer than two places; gaussians "
                          "take their size from the distance of points, so give a larger cloud")
     if offset is None:
         middle = np.rint(np.median(points, axis=0))
         offset = middle if np.abs(middle).max() > FAR else np.zeros(3)
-    shown = np.full(points.shape, GREY, np.uint8) if colours is None else _bytes(colours)
-    return Gaussians.from_points(points - offset, shown, 0).located(offset)
+    shown = np.full(points.shape, float(GREY))
+    if colours is not None:
+        shown = rows["colours"].astype(np.float64)
+        if colours.dtype.kind == "f":
+            shown *= 255
+        elif shown.max(initial=0) > 255:  # some programs write 8 bits into 16
+            shown /= 257
+    return Gaussians.from_points(
+        points - offset, np.clip(np.rint(shown), 0, 255).astype(np.uint8), 0).located(offset)
 
 
-def _bytes(colours: NDArray[np.generic]) -> NDArray[np.uint8]:
-    """Colours of 8 bits. Some programs write 8 bits into 16, without multiplying."""
-    values = colours.astype(np.float64)
-    if colours.dtype.kind == "f":
-        values = values * 255
-    elif values.max(initial=0) > 255:
-        values = values / 257
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+def write_las(path: Path, gaussians: Gaussians, notes: Notes) -> None:
+    """Write the centres of gaussians as LAS or, by the suffix, LAZ; see `models.write_model`."""
+    points = gaussians.positions.astype(np.float64) + gaussians.offset
+    typical = np.exp(float(np.median(gaussians.log_scales))) if gaussians.count else 1.0
+    place = notes.georeference
+    if place is not None:
+        points = place.to_map(points)
+    ends = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.zeros(3))
+    write_points(path, [(points, colours_of(gaussians.sh_constant), opacities(gaussians))], ends,
+                 typical / STEPS_A_SCALE, None if place is None else place.crs)
+
+
+def write_points(path: Path, parts: Iterable[Part], ends: tuple[ArrayLike, ArrayLike], step: float,
+                 crs: str | None = None) -> None:
+    """Write points, part by part, as LAS or, by the suffix, LAZ; the file is replaced as a whole.
+
+    Parameters
+    ----------
+    parts : points float64[N, 3], map coordinates; colours float[N, 3]; and intensity float[N], both
+        0 to 1.
+    ends : float64[3] each, below and above all points.
+    step : coordinates are rounded to a power of ten of at most this, if 32 bits can hold them.
+    crs : coordinate reference system of the coordinates; None: unknown.
+
+    Raises
+    ------
+    InputError : laspy or lazrs is missing, or the file cannot be written.
+    """
+    laspy = laspy_for(path)
+    header = laspy.LasHeader(version=VERSION, point_format=POINT_FORMAT)
+    header.generating_software = "clsplat"
+    if crs is not None:
+        header.add_crs(pyproj_crs(crs, f"{path}: CRS"))
+    low, high = (np.asarray(end, np.float64) for end in ends)
+    header.offsets = np.rint((low + high) / 2)
+    reach = np.abs([low - header.offsets, high - header.offsets]).max()
+    header.scales = np.full(3, max(10.0 ** np.floor(np.log10(max(step, FINEST_STEP))),
+                                   10.0 ** np.ceil(np.log10(max(reach, 1e-300) / STEPS))))
+    with replacing(path) as file, laspy.open(
+            file, mode="w", header=header, closefd=False,
+            do_compress=path.suffix.lower() == ".laz") as writer:
+        for points, colours, intensity in parts:
+            record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+            record.x, record.y, record.z = points.T
+            record.red, record.green, record.blue = _shares(colours).T
+            record.intensity = _shares(intensity)
+            writer.write_points(record)
+
+
+def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | None = None
+             ) -> Gaussians:
+    """Read the points of a LAS or LAZ file as gaussians; see `models.read_model`.
+
+    Parameters
+    ----------
+    crs : to which the points are converted, if the file names another; None: its own.
+    """
+    laspy = laspy_for(path)
+    with reading(path, "a LAS or LAZ file"), open_regular(path) as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        begin, records = HEADER.unpack(file.read(HEADER.size))
+        if begin > size or records * RECORD_HEAD_BYTES > begin:  # laspy would count to 2^32
+            raise ValueError("its header claims more than it holds")
+        file.seek(0)
+        # the parallel decompressor allocates what the file's table of chunks claims
+        with _no_panic(), laspy.open(file, closefd=False, read_evlrs=False,
+                                     laz_backend=laspy.LazBackend.Lazrs) as reader:
+            header = reader.header
+            count, width = header.point_count, header.point_format.size
+            if header.are_points_compressed:
+                check_expansion(size, count * max(width, RECORD_BYTES))
+            elif header.offset_to_point_data + count * width > size:
+                raise ValueError(f"its {size} bytes are too few for {count} points")
+            points, colours = np.zeros((count, 3)), np.zeros((count, 3), np.uint16)
+            has_colours = set(COLOURS) <= set(header.point_format.dimension_names)
+            done = 0
+            for part in reader.chunk_iterator(ROWS_AT_A_TIME):
+                rows = slice(done, done + len(part))
+                points[rows] = np.stack([part.x, part.y, part.z], axis=1)
+                if has_colours:
+                    colours[rows] = np.stack([part[name] for name in COLOURS], axis=1)
+                done += len(part)
+            if done != count:
+                raise ValueError(f"it has {done} points, not {count}")
+        if crs is not None:
+            points = _converted(path, header, crs, points)
+        return _cloud(path, points, colours if colours.any() else None, offset)
+
+
+def _converted(path: Path, header: Any, crs: str, points: NDArray[np.float64]
+               ) -> NDArray[np.float64]:
+    """Points in a CRS; as they are if the file names none that is known."""
+    try:
+        system = header.parse_crs()
+    except Exception:  # noqa: BLE001  (of any kind, for damaged records)
+        system = None
+    found = None if system is None else cloud_on_map(system, crs, points, path)
+    if found is None:
+        return points
+    logging.getLogger(__name__).warning("%s: its points are converted from %s to %s", path,
+                                        clean(system.name), clean(crs))
+    return found
+
+
+def _shares(values: NDArray[np.floating]) -> NDArray[np.uint16]:
+    """Numbers 0 to 1 in 16 bits."""
+    return np.asarray(np.clip(np.rint(values * 65535), 0, 65535), np.uint16)
+
+
+def laspy_for(path: Path) -> ModuleType:
+    """laspy; InputError, which names the file that needs it, if it or lazrs is not installed."""
+    try:
+        import laspy
+        import lazrs  # noqa: F401  # without which laspy reads no LAZ
+    except ImportError:
+        raise InputError(f"{path}: LAS and LAZ need laspy and lazrs; "
+                         "`pip install laspy lazrs`") from None
+    module: ModuleType = laspy
+    return module
+
+
+@contextmanager
+def _no_panic() -> Iterator[None]:
+    """lazrs, which is written in Rust, ends with a panic where it does not expect damage."""
+    try:
+        yield
+    except BaseException as error:
+        if type(error).__name__ != "PanicException":
+            raise
+        raise ValueError(reason(error)) from None

@@ -5,8 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MORTON_BITS = 21  # of each axis
-CODEBOOK = 256
-CODEBOOK_ROUNDS = 30
+CODEBOOK, CODEBOOK_ROUNDS = 256, 30
 PALETTE_ROUNDS, MOST_SAMPLED = 3, 1 << 18
 ROWS_AT_A_TIME = 1 << 12
 
@@ -16,9 +15,9 @@ def morton_order(positions: NDArray[np.floating]) -> NDArray[np.intp]:
     which then compresses better."""
     if not len(positions):
         return np.zeros(0, np.intp)
-    low = positions.min(axis=0)
     span = np.maximum(np.ptp(positions, axis=0), np.finfo(np.float64).tiny)
-    cells = ((positions - low) / span * ((1 << MORTON_BITS) - 1)).astype(np.uint64)
+    cells = ((positions - positions.min(axis=0)) / span * ((1 << MORTON_BITS) - 1)).astype(
+        np.uint64)
     code = np.zeros(len(positions), np.uint64)
     for bit in range(MORTON_BITS):
         for axis in range(3):
@@ -65,10 +64,6 @@ def from_smallest_three(largest: NDArray[np.integer], others: NDArray[np.float64
 def codebook(values: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """At most 256 numbers that stand for all values with little squared error (Lloyd's algorithm).
 
-    Parameters
-    ----------
-    values : float[...].
-
     Returns
     -------
     float64[256], ascending, and uint8[...], which of them stands for each value.
@@ -92,15 +87,10 @@ def codebook(values: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray
 
 
 def palette(rows: NDArray[np.floating], most: int) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """A limited number of rows that stand for all rows with little squared error.
+    """At most `most` rows that stand for all rows [N, D] with little squared error.
 
     Clusters are cut in two until there are enough, and improved with Lloyd's algorithm. Of many
     rows, some are enough to find the clusters. The result depends on no random number.
-
-    Parameters
-    ----------
-    rows : float[N, D].
-    most : the number of rows that may result.
 
     Returns
     -------
@@ -119,10 +109,8 @@ def palette(rows: NDArray[np.floating], most: int) -> tuple[NDArray[np.float32],
 
 
 def _cut(values: NDArray[np.float32], most: int) -> NDArray[np.intp]:
-    """The labels int[N] of at most that many clusters.
-
-    Those with the largest error are cut first, at the mean of the column in which they are widest.
-    """
+    """The labels int[N] of at most that many clusters: those with the largest error are cut first,
+    at the mean of the column in which they are widest."""
     labels, clusters = np.zeros(len(values), np.intp), 1
     while clusters < most:
         mean, spread = _moments(values, labels)
@@ -146,9 +134,8 @@ def _nearest(values: NDArray[np.float32], centres: NDArray[np.floating]) -> NDAr
     """The nearest centre, int[N], of each row."""
     single = centres.astype(np.float32)
     half = (single**2).sum(axis=1) / 2
-    blocks = range(0, len(values), ROWS_AT_A_TIME)
     return np.concatenate([(values[begin:begin + ROWS_AT_A_TIME] @ single.T - half).argmax(axis=1)
-                           for begin in blocks])
+                           for begin in range(0, len(values), ROWS_AT_A_TIME)])
 
 
 def _moments(values: NDArray[np.float32], labels: NDArray[np.intp]

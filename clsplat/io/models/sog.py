@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
+from clsplat.io.fields import reading
 from clsplat.io.models.quantise import (
     codebook,
     from_smallest_three,
@@ -29,14 +30,14 @@ from clsplat.io.models.quantise import (
 )
 from clsplat.io.models.values import (
     MIP,
+    OPACITY_STEPS,
     Notes,
+    Steps,
     byte_logits,
-    doubles,
     gaussians_of,
     opacities,
-    reading,
     stored_positions,
-    to_bytes,
+    stored_rows,
 )
 from clsplat.io.photos.images import encode_image
 from clsplat.io.photos.photo import reason_of, temporary_file
@@ -44,17 +45,20 @@ from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 from clsplat.io.unpack import check_expansion, check_rows, opened_archive
 
-META, GENERATOR, ORIGIN = "meta.json", "clsplat", "clsplat_origin"
+META, ORIGIN, KIND = "meta.json", "clsplat_origin", "a SOG file of version 2"
 MEANS, SCALES, QUATERNIONS, COLOURS, HARMONICS = "means", "scales", "quats", "sh0", "shN"
-KIND = "a SOG file of version 2"
-TEXTURES = {MEANS: 2, QUATERNIONS: 1, COLOURS: 1, SCALES: 1}  # how many files a part has
+# the textures of each part; harmonics may be missing
+TEXTURES = {MEANS: ("means_l.webp", "means_u.webp"), SCALES: ("scales.webp",),
+            QUATERNIONS: ("quats.webp",), COLOURS: ("sh0.webp",)}
+HARMONIC_TEXTURES = ("shN_centroids.webp", "shN_labels.webp")
 BANDS = {0: 0, 1: 3, 2: 8, 3: 15}  # harmonics above the constant, by their degree
 DATE = (1980, 1, 1, 0, 0, 0)  # of every member, so that equal models give equal bytes
+COMPONENT_STEPS = Steps(255 / 2**0.5, 127.5)  # of a quaternion
 FIRST_TAG = 252  # of the last channel of quaternions: tag + which component is the largest
+LARGEST_STEP = 65535  # of a position
 PALETTE_COLUMNS = 64
 # colours of the palette: one a gaussian for small models, one for many gaussians of large ones
 FEWEST_COLOURS, MOST_COLOURS, GAUSSIANS_A_COLOUR = 1024, 1 << 13, 32
-MOST_MEMBERS = 64  # of a zip
 SMALLEST_SPAN = 1e-12
 
 
@@ -66,38 +70,38 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     """
     positions, origin = stored_positions(gaussians)
     order = morton_order(positions)
-    rows = doubles(gaussians, order)
-    logarithms = _to_logarithm(positions[order])
-    low = logarithms.min(axis=0, initial=0 if not len(order) else np.inf)
-    high = logarithms.max(axis=0, initial=0 if not len(order) else -np.inf)
-    steps = np.rint((logarithms - low) / np.maximum(high - low, SMALLEST_SPAN) * 65535).astype(int)
+    rows = stored_rows(gaussians, positions, order)
+    logarithms = np.sign(rows["positions"]) * np.log1p(np.abs(rows["positions"]))
+    low, high = ((logarithms.min(axis=0), logarithms.max(axis=0)) if len(order)
+                 else np.zeros((2, 3)))
+    steps = np.rint((logarithms - low) / np.maximum(high - low, SMALLEST_SPAN)
+                    * LARGEST_STEP).astype(int)
     largest, others = smallest_three(rows["quaternions"])
     scales, scale_labels = codebook(rows["log_scales"])
     colours, colour_labels = codebook(rows["sh_constant"])
-    opacity = to_bytes(255 * opacities(gaussians)[order])
+    opacity = OPACITY_STEPS.bytes(opacities(gaussians)[order])
     meta: dict[str, Any] = {
-        "version": 2, "asset": {"generator": GENERATOR}, "count": gaussians.count,
+        "version": 2, "asset": {"generator": "clsplat"}, "count": gaussians.count,
         "antialias": notes.antialiased,
         MEANS: {"mins": low.tolist(), "maxs": high.tolist()},
         SCALES: {"codebook": _single(scales)}, QUATERNIONS: {},
         COLOURS: {"codebook": _single(colours)}}
-    textures = {
-        MEANS: {"means_l.webp": _texture(steps & 255), "means_u.webp": _texture(steps >> 8)},
-        SCALES: {"scales.webp": _texture(scale_labels)},
-        QUATERNIONS: {"quats.webp": _texture(np.column_stack(
-            [to_bytes((others / np.sqrt(2) + 0.5) * 255), FIRST_TAG + largest]))},
-        COLOURS: {"sh0.webp": _texture(np.column_stack([colour_labels, opacity]))}}
     if origin.any():
         meta[ORIGIN] = origin.tolist()
+    parts = {MEANS: (steps & 255, steps >> 8), SCALES: (scale_labels,),
+             QUATERNIONS: (np.column_stack([COMPONENT_STEPS.bytes(others), FIRST_TAG + largest]),),
+             COLOURS: (np.column_stack([colour_labels, opacity]),)}
+    textures = {name: _texture(values) for part, names in TEXTURES.items()
+                for name, values in zip(names, parts[part])}
+    for part, names in TEXTURES.items():
+        meta[part]["files"] = list(names)
     if rows["sh_rest"].any():
-        meta[HARMONICS], textures[HARMONICS] = _harmonics(rows["sh_rest"], gaussians.sh_degree)
-    for part, files in textures.items():
-        meta[part]["files"] = list(files)
+        meta[HARMONICS], pixels = _harmonics(rows["sh_rest"], gaussians.sh_degree)
+        textures.update(zip(HARMONIC_TEXTURES, pixels))
     with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
         archive.writestr(zipfile.ZipInfo(META, DATE), json.dumps(meta))
-        for files in textures.values():
-            for name, pixels in files.items():
-                archive.writestr(zipfile.ZipInfo(name, DATE), encode_webp(pixels))
+        for name, texture in textures.items():
+            archive.writestr(zipfile.ZipInfo(name, DATE), encode_webp(texture))
 
 
 def is_unbundled(path: Path) -> bool:
@@ -107,41 +111,38 @@ def is_unbundled(path: Path) -> bool:
 
 def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians:
     """Read the gaussians of a SOG file, or of a folder; see `models.read_model`."""
-    with reading(path, KIND), _opened(path) as part:
-        meta = _meta(path, part)
-        size, count = 0, meta["count"]
-        textures: dict[str, list[NDArray[np.uint8]]] = {}
-        for name, number in TEXTURES.items():
-            contents = [part(file) for file in _files(meta, name, number)]
-            size += sum(map(len, contents))
-            textures[name] = [decode_webp(content) for content in contents]
-        check_rows(size, _count(count), BANDS[meta.get(HARMONICS, {}).get("bands", 0)])
+    with reading(path, KIND), _opened(path) as read:
+        meta = _meta(path, read)
+        count = meta["count"]
+        if type(count) is not int or count < 0:
+            raise ValueError("count is not a number of gaussians")
+        contents = [read(name) for part in TEXTURES
+                    for name in _files(meta, part, len(TEXTURES[part]))]
+        degree = meta.get(HARMONICS, {}).get("bands", 0)
+        check_rows(sum(map(len, contents)), count, BANDS[degree])
+        lower, upper, scales, quaternions, colours = (
+            _pixels(decode_webp(content), count) for content in contents)
         low, high = (np.array(meta[MEANS][end], np.float64) for end in ("mins", "maxs"))
-        lower, upper, quaternions, colours, scales = (
-            _bytes(texture, count) for name in TEXTURES for texture in textures[name])
-        steps = lower[:, :3] + 256.0 * upper[:, :3]
+        logarithms = low + (high - low) * ((lower[:, :3] + 256.0 * upper[:, :3]) / LARGEST_STEP)
         tag = quaternions[:, 3].astype(int) - FIRST_TAG
         if count and not 0 <= tag.min() <= tag.max() < 4:
             raise ValueError("a quaternion has no largest component")
         rows = {
-            "positions": _from_logarithm(low + (high - low) * (steps / 65535)),
+            "positions": np.sign(logarithms) * np.expm1(np.minimum(np.abs(logarithms), 88)),
             "sh_constant": _codes(meta[COLOURS])[colours[:, :3]],
-            "sh_rest": _read_harmonics(meta, part, count),
+            "sh_rest": _read_harmonics(meta, read, count),
             "opacity_logits": byte_logits(colours[:, 3]),
             "log_scales": _codes(meta[SCALES])[scales[:, :3]],
-            "quaternions": from_smallest_three(
-                tag, (quaternions[:, :3] / 255 - 0.5) * np.sqrt(2)),
+            "quaternions": from_smallest_three(tag, COMPONENT_STEPS.values(quaternions[:, :3])),
         }
-        origin = np.array(meta.get(ORIGIN, (0, 0, 0)), np.float64)
-        if origin.shape != (3,):
-            raise ValueError(f"its origin is {origin.tolist()}")
+        origin = np.array(meta.get(ORIGIN, (0, 0, 0)), np.float64).reshape(3)
         return gaussians_of(path, rows, origin, offset)
 
 
 def sog_notes(path: Path) -> Notes:
     """What a SOG file holds besides its gaussians; see `models.read_notes`."""
-    with reading(path, KIND), _opened(path) as part:
-        return Notes((MIP,) if _meta(path, part).get("antialias") else ())
+    with reading(path, KIND), _opened(path) as read:
+        return Notes((MIP,) if _meta(path, read).get("antialias") else ())
 
 
 @contextmanager
@@ -149,16 +150,19 @@ def _opened(path: Path) -> Iterator[Callable[[str], bytes]]:
     """A function that reads a part by its name: a member of the zip, which may all be in one of its
     folders, or a file beside meta.json."""
     if is_unbundled(path):
-        folder = path / META if path.is_dir() else path
-        yield lambda name: read_regular(folder.with_name(_plain(name)))
+        folder = path if path.is_dir() else path.parent
+        yield lambda name: read_regular(folder / _plain(name))
         return
-    with opened_archive(path) as archive:
-        if len(archive.members) > MOST_MEMBERS:
-            raise ValueError(f"it has {len(archive.members)} members")
-        archive.check(archive.members)
-        found = min((name for name in archive.members if PurePosixPath(name).name == META),
-                    key=len, default=META)
-        yield lambda name: archive.read(found.removesuffix(META) + name)
+    with opened_archive(path) as (archive, members):
+        found = min((name for name in members if PurePosixPath(name).name == META), key=len,
+                    default=META)
+
+        def read(name: str) -> bytes:
+            member = members[found.removesuffix(META) + name]
+            with archive.open(member) as stream:
+                return stream.read(member.file_size + 1)
+
+        yield read
 
 
 def _plain(name: object) -> str:
@@ -169,8 +173,8 @@ def _plain(name: object) -> str:
     return name
 
 
-def _meta(path: Path, part: Callable[[str], bytes]) -> dict[str, Any]:
-    meta = object_of(part(META))
+def _meta(path: Path, read: Callable[[str], bytes]) -> dict[str, Any]:
+    meta = object_of(read(META))
     version = meta.get("version", 1)
     if version != 2:
         raise InputError(f"{path}: SOG of version {str(version)[:20]}, which is not read; write "
@@ -178,22 +182,16 @@ def _meta(path: Path, part: Callable[[str], bytes]) -> dict[str, Any]:
     return meta
 
 
-def _files(meta: dict[str, Any], name: str, number: int) -> list[str]:
+def _files(meta: dict[str, Any], part: str, number: int) -> list[str]:
     """The names of the textures of a part."""
-    files = meta[name]["files"]
+    files = meta[part]["files"]
     if not isinstance(files, list) or len(files) != number:
-        raise ValueError(f"{name} has not {number} textures")
+        raise ValueError(f"{part} has not {number} textures")
     return files
 
 
-def _count(count: object) -> int:
-    if type(count) is not int or count < 0:
-        raise ValueError("count is not a number of gaussians")
-    return count
-
-
 def _harmonics(sh_rest: NDArray[np.float64], degree: int
-               ) -> tuple[dict[str, Any], dict[str, NDArray[np.uint8]]]:
+               ) -> tuple[dict[str, Any], tuple[NDArray[np.uint8], ...]]:
     """The entry of the meta data for harmonics [N, bands, 3], and their textures."""
     count, bands = sh_rest.shape[:2]
     most = min(MOST_COLOURS, max(FEWEST_COLOURS, count // GAUSSIANS_A_COLOUR))
@@ -203,9 +201,10 @@ def _harmonics(sh_rest: NDArray[np.float64], degree: int
     pixels = np.zeros((lines * PALETTE_COLUMNS, bands, 4), np.uint8)
     pixels[..., 3] = 255
     pixels[:len(chosen), :, :3] = numbers.reshape(-1, bands, 3)
-    meta = {"count": len(chosen), "bands": degree, "codebook": _single(codes)}
-    return meta, {"shN_centroids.webp": pixels.reshape(lines, PALETTE_COLUMNS * bands, 4),
-                  "shN_labels.webp": _texture(np.stack([labels & 255, labels >> 8, 0 * labels], 1))}
+    meta = {"count": len(chosen), "bands": degree, "codebook": _single(codes),
+            "files": list(HARMONIC_TEXTURES)}
+    return meta, (pixels.reshape(lines, PALETTE_COLUMNS * bands, 4),
+                  _texture(np.stack([labels & 255, labels >> 8, 0 * labels], 1)))
 
 
 def _read_harmonics(meta: dict[str, Any], read: Callable[[str], bytes], count: int
@@ -215,16 +214,12 @@ def _read_harmonics(meta: dict[str, Any], read: Callable[[str], bytes], count: i
         return np.zeros((count, 0, 3))
     part = meta[HARMONICS]
     bands = BANDS[part["bands"]]
-    pixels, labels = (decode_webp(read(file)) for file in _files(meta, HARMONICS, 2))
+    pixels, labels = (decode_webp(read(name)) for name in _files(meta, HARMONICS, 2))
     if pixels.shape[1] != PALETTE_COLUMNS * bands:
         raise ValueError(f"its palette is {pixels.shape[1]} pixels wide")
-    chosen = pixels[..., :3].reshape(-1, bands, 3)
-    numbers = _bytes(labels, count)
-    label = numbers[:, 0] + 256 * numbers[:, 1].astype(int)
-    if label.max(initial=-1) >= len(chosen):
-        raise ValueError(f"its palette has only {len(chosen)} entries")
-    harmonics: NDArray[np.float64] = _codes(part)[chosen[label]]
-    return harmonics
+    numbers = _pixels(labels, count)
+    chosen = pixels[..., :3].reshape(-1, bands, 3)[numbers[:, 0] + 256 * numbers[:, 1].astype(int)]
+    return np.asarray(_codes(part)[chosen], np.float64)
 
 
 def _texture(values: NDArray[Any]) -> NDArray[np.uint8]:
@@ -237,7 +232,7 @@ def _texture(values: NDArray[Any]) -> NDArray[np.uint8]:
     return pixels.reshape(height, width, 4)
 
 
-def _bytes(texture: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:
+def _pixels(texture: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:
     """The first `count` pixels of a texture, uint8[count, 4]."""
     pixels = texture.reshape(-1, 4)
     if count > len(pixels):
@@ -248,22 +243,12 @@ def _bytes(texture: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:
 def _codes(part: dict[str, Any]) -> NDArray[np.float64]:
     """A codebook float64[256]; numbers that a file leaves out are zero."""
     codes = np.array(part["codebook"], np.float64)
-    if codes.ndim != 1 or len(codes) > 256:
-        raise ValueError(f"a codebook has the shape {codes.shape}")
     return np.pad(codes, (0, 256 - len(codes)))
 
 
 def _single(values: NDArray[np.float64]) -> list[float]:
     """The shortest decimal numbers that single precision distinguishes."""
     return [float(str(value)) for value in values.astype(np.float32)]
-
-
-def _to_logarithm(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.sign(values) * np.log1p(np.abs(values))
-
-
-def _from_logarithm(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.sign(values) * np.expm1(np.minimum(np.abs(values), 88))
 
 
 def encode_webp(pixels: NDArray[np.uint8]) -> bytes:

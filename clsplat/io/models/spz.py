@@ -1,15 +1,18 @@
 """Gaussians as SPZ, the compressed format of Niantic: version 3 is written, 1 to 4 are read.
 
 A gzip stream of a header and then, one after the other for all gaussians: positions of 24 bits,
-opacities, colours, scales, rotations, and harmonics of 8 bits. Version 4 has these parts as streams
-of Zstandard (io/models/spz_streams.py). The axes are right, up, backward: those of a PLY, which are
-right, down, forward, after half a turn about x.
+opacities, colours, scales, rotations, and harmonics of 8 bits. Version 4 has a header of 32 bytes,
+extensions, a table of the packed and unpacked size of each part, and the parts as streams of
+Zstandard without gaps (README.md and extensions/README.md of nianticlabs/spz). The axes are right,
+up, backward: those of a PLY, which are right, down, forward, after half a turn about x.
 """
 
+import io
 import logging
 import re
 import struct
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,48 +22,61 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
+from clsplat.io.fields import reading
 from clsplat.io.models.quantise import from_smallest_three, morton_order, smallest_three
-from clsplat.io.models.spz_streams import check_extensions, streams
 from clsplat.io.models.values import (
     MIP,
+    OPACITY_STEPS,
     Notes,
+    Steps,
     byte_logits,
-    doubles,
     gaussians_of,
     half_turn,
     opacities,
-    reading,
     stored_positions,
-    to_bytes,
+    stored_rows,
 )
 from clsplat.io.regular import read_regular
 from clsplat.io.unpack import check_expansion, check_rows
 
 HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, SH degree, fractional bits, flags
-ANTIALIASED, EXTENDED = 1, 2  # of the flags
-MAGIC, VERSION = b"NGSP", 3
-WITH_STREAMS = 4  # the version whose parts are streams of their own
+HEADER_4 = struct.Struct("<16sI12x")  # of version 4: HEADER, where the table begins
+ENTRY, EXTENSION = struct.Struct("<QQ"), struct.Struct("<II")  # sizes; kind and length
+MAGIC, VERSION, WITH_STREAMS = b"NGSP", 3, 4
+ANTIALIASED, EXTENDED = 1, 2  # flags
+OTHER_AXES = 0xADBE0003  # an extension of Adobe
+MOST_EXTENSION_BYTES = 1 << 16  # of a gzip stream, behind the gaussians
 # with the flags, and without the time, so that equal models give equal bytes
 GZIP_HEADER = b"\x1f\x8b\x08%c\0\0\0\0\2\xff"
 COMMENT = 16  # the flag of a comment, which ends with a zero byte; other readers skip it
 ORIGIN = re.compile(rb"origin_of_positions (\S+) (\S+) (\S+)")
 # of a version: bytes of a position and of a rotation
 PLACE_BYTES, ROTATION_BYTES = {1: 6, 2: 9, 3: 9, 4: 9}, {1: 3, 2: 3, 3: 4, 4: 4}
-HALF = 6  # bytes of a position that are three numbers of 16 bits
-MOST_EXTENSION_BYTES = 1 << 16  # of a gzip stream, behind the gaussians
 HIGHEST_DEGREE, KEPT_DEGREE = 4, 3  # of harmonics
-XYZW = np.array([1, 2, 3, 0])  # where these components stand in w, x, y, z
-POSITION_LIMIT = (1 << 23) - 1
-MOST_FRACTIONAL_BITS = 24
-FEWEST_STEPS = 1 << 12  # of the model's size
-SMALLEST_EXTENT = 1e-9  # more bits than this needs are not there
-POSITION_STEP = 0.2  # at most, of a position, in median standard deviations
-COLOUR_SCALE = 0.15
-SCALE_STEPS, SMALLEST_LOG_SCALE = 16, -10
-SH_STEPS = 128
+COLOURS, LOG_SCALES, HARMONICS = Steps(0.15 * 255, 127.5), Steps(16, 160), Steps(128, 128)
 # the least significant bits of harmonics that are zero, so that they compress, as in the reference
 # implementation: of the first degree, of the others
 SH_BUCKETS = (8, 16)
+XYZW = np.array([1, 2, 3, 0])  # where these components stand in w, x, y, z
+POSITION_LIMIT, MOST_FRACTIONAL_BITS = (1 << 23) - 1, 24
+FEWEST_STEPS = 1 << 12  # of the model's size
+SMALLEST_EXTENT = 1e-9  # more bits than this needs are not there
+POSITION_STEP = 0.2  # at most, of a position, in median standard deviations
+
+
+class _Header(NamedTuple):
+    version: int
+    number: int  # of gaussians
+    degree: int
+    bits: int  # below one in a position
+    flags: int
+    streams: int
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """The bytes of a gaussian in each part."""
+        return (PLACE_BYTES[self.version], 1, 3, 3, ROTATION_BYTES[self.version],
+                3 * ((self.degree + 1) ** 2 - 1))
 
 
 def write_spz(path: Path, gaussians: Gaussians, notes: Notes) -> None:
@@ -78,23 +94,22 @@ def packed_spz(path: Path, gaussians: Gaussians, notes: Notes) -> tuple[bytes, i
     """The content of a SPZ file, and the degree of its harmonics; `path` is for messages."""
     positions, origin = stored_positions(gaussians)
     order = morton_order(positions)
-    rows = half_turn({**doubles(gaussians, order), "positions": positions[order]}, axis=0)
+    rows = half_turn(stored_rows(gaussians, positions, order), axis=0)
     bits = _fractional_bits(path, positions, gaussians.log_scales)
     fixed = np.rint(rows["positions"] * 2.0**bits).astype("<i4")
-    sh = _sh_bytes(rows["sh_rest"])
+    bucket = np.where(np.arange(rows["sh_rest"].shape[1]) < 3, *SH_BUCKETS)[:, None]
+    sh = HARMONICS.bytes(np.floor(rows["sh_rest"] * HARMONICS.scale / bucket + 0.5)
+                         * bucket / HARMONICS.scale)
     degree = gaussians.sh_degree
-    while degree and not (sh[:, degree**2 - 1:] != SH_STEPS).any():
+    while degree and not (sh[:, degree**2 - 1:] != HARMONICS.zero).any():
         degree -= 1
         sh = sh[:, :(degree + 1) ** 2 - 1]
-    content = b"".join((
-        HEADER.pack(MAGIC, VERSION, gaussians.count, degree, bits,
-                    ANTIALIASED * notes.antialiased, 0),
-        fixed.view(np.uint8).reshape(-1, 4)[:, :3].tobytes(),
-        to_bytes(255 * opacities(gaussians)[order]).tobytes(),
-        to_bytes((rows["sh_constant"] * COLOUR_SCALE + 0.5) * 255).tobytes(),
-        to_bytes((rows["log_scales"] - SMALLEST_LOG_SCALE) * SCALE_STEPS).tobytes(),
-        _packed_rotations(rows["quaternions"]).tobytes(),
-        sh.tobytes()))
+    parts = (fixed.view(np.uint8).reshape(-1, 4)[:, :3],
+             OPACITY_STEPS.bytes(opacities(gaussians)[order]), COLOURS.bytes(rows["sh_constant"]),
+             LOG_SCALES.bytes(rows["log_scales"]), _packed_rotations(rows["quaternions"]), sh)
+    content = HEADER.pack(MAGIC, VERSION, gaussians.count, degree, bits,
+                          ANTIALIASED * notes.antialiased, 0)
+    content += b"".join(part.tobytes() for part in parts)
     head = GZIP_HEADER % 0
     if origin.any():
         place = " ".join(repr(float(value)) for value in origin)
@@ -108,56 +123,50 @@ def read_spz(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians
     """Read the gaussians of a SPZ file; see `models.read_model`."""
     with reading(path, "a SPZ file"):
         data = read_regular(path)
-        content = _unpacked(data)
-        if content.degree > KEPT_DEGREE:
+        if (degree := _header(data).degree) > KEPT_DEGREE:
             logging.getLogger(__name__).warning(
                 "%s: its spherical harmonics of degree %d are left out: degree %d is the highest "
-                "that is read", path, content.degree, KEPT_DEGREE)
-        return gaussians_of(path, _rows(content), _origin(data), offset)
-
-
-def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
-    """The fields of `gaussians.LEARNED` of a SPZ file's content, positions relative to its origin;
-    ValueError if it is damaged."""
-    return _rows(_unpacked(data))
+                "that is read", path, degree, KEPT_DEGREE)
+        return gaussians_of(path, unpacked_spz(data), _origin(data), offset)
 
 
 def spz_notes(path: Path) -> Notes:
     """What a SPZ file holds besides its gaussians; see `models.read_notes`."""
     with reading(path, "a SPZ file"):
-        return Notes((MIP,) if _header(_begin(read_regular(path))).flags & ANTIALIASED else ())
+        return Notes((MIP,) if _header(read_regular(path)).flags & ANTIALIASED else ())
 
 
-class _Header(NamedTuple):
-    version: int
-    number: int
-    degree: int
-    bits: int
-    flags: int
-    streams: int
-
-    @property
-    def widths(self) -> tuple[int, ...]:
-        """The bytes of a gaussian in each part."""
-        return (PLACE_BYTES[self.version], 1, 3, 3, ROTATION_BYTES[self.version],
-                3 * ((self.degree + 1) ** 2 - 1))
-
-
-class _Content(NamedTuple):
-    degree: int
-    bits: int
-    parts: list[NDArray[np.uint8]]  # [N, width] each
-
-
-def _begin(data: bytes) -> bytes:
-    """The first bytes, unpacked."""
-    if data.startswith(MAGIC):
-        return data[:HEADER.size]
-    return zlib.decompressobj(zlib.MAX_WBITS | 16).decompress(data, HEADER.size)
+def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
+    """The fields of `gaussians.LEARNED` of a SPZ file's content, positions relative to its origin;
+    ValueError if it is damaged."""
+    header = _header(data)
+    count, widths = header.number, header.widths
+    sizes = [count * width for width in widths]
+    check_expansion(len(data), sum(sizes))
+    check_rows(len(data), count, widths[-1] // 3)
+    if header.version == WITH_STREAMS and (header.streams or not count):
+        contents = _streams(data, header, sizes)
+    else:
+        whole = _whole(data, header, sum(sizes))
+        contents = [whole[end - size:end] for end, size in zip(np.cumsum(sizes), sizes)]
+    position, opacity, colour, scale, rotation, sh = (
+        np.frombuffer(content, np.uint8).reshape(count, width)
+        for content, width in zip(contents, widths))
+    bands = min(widths[-1] // 3, (KEPT_DEGREE + 1) ** 2 - 1)
+    return half_turn({
+        "positions": _positions(position, header.bits),
+        "sh_constant": COLOURS.values(colour),
+        "sh_rest": HARMONICS.values(sh[:, :3 * bands].reshape(count, bands, 3)),
+        "opacity_logits": byte_logits(opacity[:, 0]),
+        "log_scales": LOG_SCALES.values(scale),
+        "quaternions": _rotations(rotation),
+    }, axis=0)
 
 
 def _header(data: bytes) -> _Header:
-    magic, *numbers = HEADER.unpack(data)
+    if not data.startswith(MAGIC):
+        data = zlib.decompressobj(zlib.MAX_WBITS | 16).decompress(data, HEADER.size)
+    magic, *numbers = HEADER.unpack_from(data)
     header = _Header(*numbers)
     if magic != MAGIC or header.version not in PLACE_BYTES:
         raise ValueError(f"versions {min(PLACE_BYTES)} to {max(PLACE_BYTES)} are read, not "
@@ -167,63 +176,64 @@ def _header(data: bytes) -> _Header:
     return header
 
 
-def _unpacked(data: bytes) -> _Content:
-    """All parts of a file."""
-    header = _header(_begin(data))
-    widths = header.widths
-    size = header.number * sum(widths)
-    check_expansion(len(data), size)
-    check_rows(len(data), header.number, widths[-1] // 3)
-    if header.version == WITH_STREAMS and (header.streams or not header.number):
-        contents = streams(data, header.streams, [header.number * width for width in widths],
-                           bool(header.flags & EXTENDED))
-    else:
-        whole = _whole(data, size, header)
-        ends = np.cumsum(header.number * np.array(widths, np.int64))
-        contents = [whole[end - header.number * width:end] for end, width in zip(ends, widths)]
-    return _Content(header.degree, header.bits, [
-        np.frombuffer(part, np.uint8).reshape(header.number, width)
-        for part, width in zip(contents, widths)])
-
-
-def _whole(data: bytes, size: int, header: _Header) -> bytes:
+def _whole(data: bytes, header: _Header, size: int) -> bytes:
     """The bytes after the header of a gzip stream, or of one that was unpacked on its way, as
     servers do that send it with the encoding gzip."""
-    more = MOST_EXTENSION_BYTES if header.flags & EXTENDED else 0
-    if data.startswith(MAGIC):
-        content, ended = data[HEADER.size:], True
-    else:
+    most = size + (MOST_EXTENSION_BYTES if header.flags & EXTENDED else 0)
+    ended = True
+    if not data.startswith(MAGIC):
         stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
-        stream.decompress(data, HEADER.size)
-        content = stream.decompress(stream.unconsumed_tail, size + more + 1)
+        data = stream.decompress(data, HEADER.size + most + 1)
         ended = stream.eof  # at the end its checksum was compared
-    if not size <= len(content) <= size + more or not ended:
+    content = data[HEADER.size:]
+    if not size <= len(content) <= most or not ended:
         raise ValueError(f"its {header.number} gaussians have another size")
-    check_extensions(content[size:])
+    _check_extensions(content[size:])
     return content[:size]
 
 
-def _rows(content: _Content) -> dict[str, NDArray[np.float64]]:
-    position, opacity, colour, scale, rotation, sh = content.parts
-    count, bands = len(position), min(sh.shape[1] // 3, (KEPT_DEGREE + 1) ** 2 - 1)
-    return half_turn({
-        "positions": _positions(position, content.bits),
-        "sh_constant": (colour / 255 - 0.5) / COLOUR_SCALE,
-        "sh_rest": (sh[:, :3 * bands].reshape(count, bands, 3) - float(SH_STEPS)) / SH_STEPS,
-        "opacity_logits": byte_logits(opacity[:, 0]),
-        "log_scales": scale / SCALE_STEPS + SMALLEST_LOG_SCALE,
-        "quaternions": _rotations(rotation),
-    }, axis=0)
+def _streams(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
+    """The parts of a file of version 4, of which empty ones are left out."""
+    try:
+        import zstandard
+    except ImportError:
+        raise ImportError("SPZ of version 4 needs zstandard; `pip install zstandard`") from None
+    _, table = HEADER_4.unpack_from(data)
+    at = table + header.streams * ENTRY.size
+    if header.streams != sum(map(bool, sizes)) or not HEADER_4.size <= table <= at <= len(data):
+        raise ValueError(f"its table of {header.streams} streams does not fit")
+    if header.flags & EXTENDED:
+        _check_extensions(data[HEADER_4.size:table])
+    entries, parts = ENTRY.iter_unpack(data[table:at]), []
+    for size in sizes:
+        packed, claimed = next(entries) if size else (0, 0)
+        if claimed != size or packed > len(data) - at:
+            raise ValueError(f"a stream of {size} bytes claims to hold {claimed}")
+        stream = zstandard.ZstdDecompressor().stream_reader(io.BytesIO(data[at:at + packed]))
+        parts.append(stream.read(size + 1) if size else b"")
+        if len(parts[-1]) != size:
+            raise ValueError("it holds more or less than its header claims")
+        at += packed
+    return parts
+
+
+def _check_extensions(data: bytes) -> None:
+    while data:
+        kind, size = EXTENSION.unpack_from(data.ljust(EXTENSION.size, b"\xff"))
+        if EXTENSION.size + size > len(data):
+            raise ValueError("its extensions are cut short")
+        if kind == OTHER_AXES:
+            raise ValueError("its extension for other axes is not read")
+        data = data[EXTENSION.size + size:]
 
 
 def _positions(data: NDArray[np.uint8], bits: int) -> NDArray[np.float64]:
     """Positions of 24 bits, or of version 1, which has numbers of half precision."""
-    if data.shape[1] == HALF:
+    if data.shape[1] == PLACE_BYTES[1]:
         return np.ascontiguousarray(data).view("<f2").astype(np.float64)
     fixed = np.zeros((len(data), 3, 4), np.uint8)
     fixed[..., 1:] = data.reshape(len(data), 3, 3)  # the upper bytes keep the sign
-    values: NDArray[np.float64] = (fixed.view("<i4")[..., 0] >> 8) / 2.0**bits
-    return values
+    return np.asarray((fixed.view("<i4")[..., 0] >> 8) / 2.0**bits, np.float64)
 
 
 def _fractional_bits(path: Path, positions: NDArray[np.float64], log_scales: NDArray[np.float32]
@@ -242,12 +252,6 @@ def _fractional_bits(path: Path, positions: NDArray[np.float64], log_scales: NDA
     return min(most, max(needed, 0), MOST_FRACTIONAL_BITS)
 
 
-def _sh_bytes(sh_rest: NDArray[np.float64]) -> NDArray[np.uint8]:
-    bucket = np.where(np.arange(sh_rest.shape[1]) < 3, *SH_BUCKETS)[:, None]
-    return to_bytes(np.clip(np.floor(sh_rest * SH_STEPS / bucket + 0.5) * bucket + SH_STEPS,
-                            0, 255))
-
-
 def _packed_rotations(quaternions: NDArray[np.float64]) -> NDArray[np.uint32]:
     """Two bits for the largest of x, y, z, w, then a sign and nine bits for each of the others."""
     largest, others = smallest_three(quaternions[:, XYZW])
@@ -260,24 +264,18 @@ def _packed_rotations(quaternions: NDArray[np.float64]) -> NDArray[np.uint32]:
 
 def _rotations(data: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Quaternions w, x, y, z from the three bytes of version 2 or the four of version 3."""
-    if data.shape[1] == 3:
+    if data.shape[1] == ROTATION_BYTES[2]:
         others = data / 127.5 - 1
-        w = np.sqrt(np.maximum(0, 1 - (others**2).sum(axis=1)))
-        return np.column_stack([w, others])
+        return np.column_stack([np.sqrt(np.maximum(0, 1 - (others**2).sum(axis=1))), others])
     packed = np.ascontiguousarray(data).view("<u4")[:, 0]
     fields = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], axis=1).astype(np.int64)
     others = (fields & 511) * np.where(fields > 511, -1, 1) / (511 * np.sqrt(2))
-    values: NDArray[np.float64] = from_smallest_three(packed >> 30, others)[:, np.argsort(XYZW)]
-    return values
+    return np.asarray(from_smallest_three(packed >> 30, others)[:, np.argsort(XYZW)], np.float64)
 
 
 def _origin(data: bytes) -> NDArray[np.float64]:
     """What the comment of the gzip header records, or zero."""
     begin = len(GZIP_HEADER % 0)
-    if data.startswith(MAGIC):
-        return np.zeros(3)
-    found = ORIGIN.fullmatch(data[begin:].partition(b"\0")[0]) if data[3] & COMMENT else None
-    origin = np.array([float(value) for value in found.groups()]) if found else np.zeros(3)
-    if not np.isfinite(origin).all():
-        raise ValueError("its origin is not finite")
-    return origin
+    has_comment = not data.startswith(MAGIC) and data[3] & COMMENT
+    found = ORIGIN.fullmatch(data[begin:].partition(b"\0")[0]) if has_comment else None
+    return np.array([float(value) for value in found.groups()] if found else (0, 0, 0), np.float64)

@@ -1,67 +1,48 @@
-"""What the formats of models share: their coordinates, their axes, and how damage is reported."""
+"""What the formats of models share: their coordinates, axes, steps and comments."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+import logging
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.constants import SH_C0
 from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io.georeference.files import (
-    commented_georeference,
-    commented_up,
-    placement_comments,
-)
-from clsplat.io.models.ply import needs_double
-from clsplat.io.models.usable import (
-    GREATEST_OPACITY,
-    LARGEST_LOG_SCALE,
-    LEAST_OPACITY,
-    usable,
-    with_meaning,
-)
-from clsplat.io.reason import reason
+from clsplat.io.georeference.files import commented_georeference, commented_up, placement_comments
 
 MODE = "SplatRenderMode: "  # the comment on how a model was trained
 MIP = f"{MODE}mip"  # with --antialiased
+# what stands for infinity: opacities that single precision and logits can hold, and the logarithm
+# of a scale whose exponential is a finite float32, as is that of its negative
+LEAST_OPACITY, GREATEST_OPACITY = 1e-30, 1 - 2.0**-24
+LARGEST_LOG_SCALE = 80.0
+MOST_LEFT_OUT = 0.5  # of a file's rows; one with more is damaged
+TOLERANCE = 1e-3  # of the median scale: the error of a position that needs double precision
 
 
-def mode_comment(antialiased: bool) -> str:
-    """The comment of a model that was trained with or without --antialiased."""
-    return MIP if antialiased else f"{MODE}default"
+class Steps(NamedTuple):
+    """Numbers as bytes: a byte stands for (byte - zero) / scale."""
+
+    scale: float
+    zero: float = 0.0
+
+    def bytes(self, values: NDArray[np.floating]) -> NDArray[np.uint8]:
+        """The nearest byte of each value."""
+        return to_bytes(values * self.scale + self.zero)
+
+    def values(self, codes: NDArray[np.integer]) -> NDArray[np.float64]:
+        """The value of each byte."""
+        return (codes.astype(np.float64) - self.zero) / self.scale
 
 
-@contextmanager
-def reading(path: Path, what: str) -> Iterator[None]:
-    """Report any failure to read a file as one line: libraries raise many kinds of exceptions for
-    damaged files.
-
-    Parameters
-    ----------
-    what : the format with its article, for the message.
-    """
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):  # `gaussians_of` checks the results
-            yield
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; check the path") from None
-    except ImportError as error:
-        raise InputError(f"{path}: {reason(error)}") from None
-    except MemoryError:
-        raise InputError(f"{path}: not enough memory to read it; free some, or give a smaller "
-                         "model") from None
-    except Exception as error:
-        raise InputError(f"{path}: not {what}, damaged or cut short ({reason(error)}); "
-                         "export or copy it again") from None
+OPACITY_STEPS = Steps(255)
 
 
 @dataclass(frozen=True)
@@ -98,10 +79,21 @@ class Notes:
         return MIP in self.comments
 
 
-def stored_positions(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Positions float64[N, 3] for a file that holds single precision, and their origin float64[3].
+def mode_comment(antialiased: bool) -> str:
+    """The comment of a model that was trained with or without --antialiased."""
+    return MIP if antialiased else f"{MODE}default"
 
-    These are the original coordinates with a zero origin, or, where float32 would lose digits, the
+
+def needs_double(positions: NDArray[np.float64], log_scales: NDArray[np.float32]) -> bool:
+    """Whether float32 would move a gaussian by more than TOLERANCE of the median scale."""
+    error = np.abs(positions.astype(np.float32) - positions).max(initial=0.0)
+    return bool(error and error > TOLERANCE * np.exp(np.median(log_scales.astype(np.float64))))
+
+
+def stored_positions(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions float64[N, 3] for a file in single precision, and their origin float64[3].
+
+    These are the original coordinates with a zero origin, or, if float32 would lose digits, the
     local coordinates with the offset as their origin, which the file must record.
     """
     local = gaussians.positions.astype(np.float64)
@@ -113,7 +105,7 @@ def stored_positions(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray
 
 def gaussians_of(path: Path, rows: dict[str, NDArray[np.float64]],
                  origin: NDArray[np.float64], offset: NDArray[np.float64] | None) -> Gaussians:
-    """Gaussians in local coordinates, from the values of a file; see `usable.usable`.
+    """Gaussians in local coordinates, from the values of a file; see `usable`.
 
     Parameters
     ----------
@@ -124,11 +116,46 @@ def gaussians_of(path: Path, rows: dict[str, NDArray[np.float64]],
     """
     offset = np.array(origin if offset is None else offset, np.float64)
     rows = {**rows, "positions": rows["positions"] + (origin - offset)}
-    bands = rows["sh_rest"].shape[1]
     with np.errstate(over="ignore"):
-        single = {name: with_meaning(name, values.astype(np.float32))
-                  for name, values in rows.items()}
-    return Gaussians(usable(path, single), round((bands + 1) ** 0.5) - 1, offset)
+        single = {name: values.astype(np.float32) for name, values in rows.items()}
+    return Gaussians(usable(path, single), round((rows["sh_rest"].shape[1] + 1) ** 0.5) - 1, offset)
+
+
+def usable(path: str | Path, rows: dict[str, NDArray[Any]], most_left_out: float = MOST_LEFT_OUT
+           ) -> dict[str, NDArray[Any]]:
+    """The rows [N, ...] of fields whose numbers are all finite; a warning counts the others.
+
+    A logit of +-inf is an opaque or an invisible gaussian, a logarithm of -inf a size of zero:
+    finite values stand for these.
+
+    Parameters
+    ----------
+    path : the file that messages name.
+    most_left_out : of the rows, 0 to 1; 0 for a file that clsplat wrote.
+
+    Raises
+    ------
+    InputError : more rows would be left out.
+    """
+    ends = {"opacity_logits": logits(np.array((0.0, 1.0))),
+            "log_scales": np.array((-LARGEST_LOG_SCALE, np.inf))}
+    for name, (low, high) in ends.items():
+        if name in rows and not np.isfinite(rows[name]).all():
+            rows = {**rows, name: np.nan_to_num(rows[name], nan=np.nan, neginf=low, posinf=high)}
+    finite = np.logical_and.reduce([
+        np.isfinite(values).all(axis=tuple(range(1, values.ndim))) for values in rows.values()])
+    count, bad = len(finite), int(np.count_nonzero(~finite))
+    if not bad:
+        return rows
+    if bad > most_left_out * count:
+        name, values = next((name, values) for name, values in rows.items()
+                            if not np.isfinite(values).all())
+        raise InputError(f"{path}: {bad} of {count} rows hold numbers that are not finite, "
+                         f"{np.count_nonzero(~np.isfinite(values))} of them in {name}; export or "
+                         "copy it again")
+    logging.getLogger(__name__).warning(
+        "%s: %d of %d rows hold numbers that are not finite: they are left out", path, bad, count)
+    return {name: values[finite] for name, values in rows.items()}
 
 
 def opacities(gaussians: Gaussians) -> NDArray[np.float64]:
@@ -146,12 +173,6 @@ def logits(opacity: NDArray[np.float64]) -> NDArray[np.float64]:
 def byte_logits(values: NDArray[np.uint8]) -> NDArray[np.float64]:
     """The logits float64[N] of opacities in steps of 1 / 255."""
     return logits(np.clip(values, 0.25, 254.75) / 255)
-
-
-def scales_of(log_scales: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Standard deviations that single precision holds."""
-    limited = np.clip(log_scales.astype(np.float64), -LARGEST_LOG_SCALE, LARGEST_LOG_SCALE)
-    return np.exp(limited)
 
 
 def log_scales_of(scales: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -172,14 +193,7 @@ def to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def half_turn(rows: dict[str, NDArray[np.float64]], axis: int) -> dict[str, NDArray[np.float64]]:
-    """The fields of `gaussians.LEARNED` after half a turn about a coordinate axis.
-
-    Two half turns change nothing.
-
-    Parameters
-    ----------
-    axis : 0 for x, 1 for y, 2 for z.
-    """
+    """The fields of `gaussians.LEARNED` after half a turn about axis 0, 1 or 2: its own inverse."""
     sign = np.full(3, -1.0)
     sign[axis] = 1
     x, y, z = sign
@@ -191,7 +205,9 @@ def half_turn(rows: dict[str, NDArray[np.float64]], axis: int) -> dict[str, NDAr
             "sh_rest": rest * bands[:rest.shape[1], None]}
 
 
-def doubles(gaussians: Gaussians, order: NDArray[np.intp]) -> dict[str, NDArray[np.float64]]:
-    """The fields of `gaussians.LEARNED` in double precision, in another order."""
-    names = ("positions", "sh_constant", "sh_rest", "opacity_logits", "log_scales", "quaternions")
-    return {name: gaussians.rows[name][order].astype(np.float64) for name in names}
+def stored_rows(gaussians: Gaussians, positions: NDArray[np.float64],
+                order: NDArray[np.intp] | slice = slice(None)) -> dict[str, NDArray[np.float64]]:
+    """The fields of `gaussians.LEARNED` in double precision and another order, with
+    `stored_positions`."""
+    rows = {field.name: gaussians.rows[field.name].astype(np.float64) for field in LEARNED}
+    return {name: values[order] for name, values in {**rows, "positions": positions}.items()}

@@ -108,7 +108,7 @@ def _stored(view: View) -> NDArray[np.float32]:
 def _read_npy(path: Path) -> NDArray[Any]:
     try:
         content = read_regular(path)
-        values = read_array(path.name, io.BytesIO(content), len(content))
+        values = read_array(io.BytesIO(content), len(content))
     except Exception as error:  # numpy raises many kinds
         raise InputError(f"{path}: not a NumPy array, or damaged ({reason(error)}); save it again"
                          ) from None

@@ -382,7 +382,7 @@ READERS = {
     "depths": Reader(_depths, _read_depths, files=(".npy", ".tif", ".exr", ".png")),
     "ply": Reader(_made_plys, _ply, files=(".ply",)),
     **{suffix[1:]: _model(suffix) for suffix in (
-        ".compressed.ply", ".spz", ".sog", ".glb", ".las")},  # lazrs aborts on bad LAZ
+        ".spz", ".sog", ".glb", ".las")},  # lazrs aborts on bad LAZ
     "georeference": Reader(_georeferences, _georeference, text=True, files=(".json",)),
     "gcp": Reader(_control_points, _read_control_points, text=True, files=(".txt",)),
     "checkpoint": Reader(_made_checkpoints, _checkpoint, files=(".npz",)),

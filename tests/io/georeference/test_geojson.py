@@ -47,7 +47,7 @@ def test_the_crs_of_older_files(tmp_path):
     polygon([[0, 0], [1e300, 0], [1, 1]]), polygon([[0, 0], [True, 0], [1, 1]]),
     {"type": "MultiPolygon", "coordinates": [7]}, '{"type":' * 3000])
 def test_what_is_no_polygon(tmp_path, record):
-    with pytest.raises(InputError, match="area.geojson: not GeoJSON, or damaged"):
+    with pytest.raises(InputError, match="area.geojson: not GeoJSON, damaged or"):
         read(tmp_path, record)
 
 

@@ -25,7 +25,6 @@ POINTS = (".las", ".laz")
 BOUNDS = {
     ".ply": (0, 0, 0, 0, 0, 0),
     ".glb": (0, 1e-5, 1e-3, 1e-6, 1e-6, 0),
-    ".compressed.ply": (1 / 1023, 0.005, 0.01, 0.01, 0.003, 1 / 32),
     ".sog": (1 / 20000, 0.05, 0.02, 0.05, 0.003, 0.05),
     ".spz": (0, 1 / 31, 0.01, 0.01, 0.003, 1 / 15, True),
 }
@@ -122,11 +121,11 @@ def test_a_splat_is_read_only(tmp_path):
 
 
 def test_unknown_suffix(tmp_path):
-    with pytest.raises(InputError, match=r"a\.obj: unknown suffix '.obj'; known: .compressed.ply"):
+    with pytest.raises(InputError, match=r"a\.obj: unknown suffix '.obj'; known: .ply"):
         write_model(tmp_path / "a.obj", random_gaussians())
 
 
-@pytest.mark.parametrize("suffix", [".spz", ".sog", ".compressed.ply"])
+@pytest.mark.parametrize("suffix", [".spz", ".sog"])
 def test_unused_harmonics_are_not_written(tmp_path, suffix):
     gaussians = model(50, 3)
     gaussians.sh_rest[:, 3:] = 0
@@ -280,10 +279,37 @@ def test_every_format_is_tested():
     assert set(SUFFIXES) == set(BOUNDS) | set(POINTS) == set(FORMATS)
 
 
-def test_words_of_a_compressed_ply(tmp_path):
-    """Positions and scales have 11, 10 and 11 bits, the first in the most significant ones."""
-    gaussians = model(3, 0)
-    gaussians.positions[:] = [(0, 0, 0), (4, 0, 0), (4, 4, 4)]
-    write_model(tmp_path / "a.compressed.ply", gaussians)
-    words = np.frombuffer((tmp_path / "a.compressed.ply").read_bytes()[-48:], "<u4").reshape(3, 4)
-    assert sorted(words[:, 0].tolist()) == [0, 0x7FF << 21, 0xFFFFFFFF]
+@pytest.mark.parametrize("has_colours", [False, True])
+def test_a_compressed_ply_is_read_only(tmp_path, has_colours):
+    """Positions and scales have 11, 10 and 11 bits, the first in the most significant ones; older
+    files have no limits of colours."""
+    names = [f"{end}_{name}" for names in ("xyz", ("scale_x", "scale_y", "scale_z"))
+             for end in ("min", "max") for name in names]
+    limits = [-1, -2, -3, 3, 2, 1, -5, -5, -5, 0, 0, 0]
+    if has_colours:
+        names += [f"{end}_{name}" for end in ("min", "max") for name in "rgb"]
+        limits += [0, 0, 0, 2, 2, 2]
+    words = np.array([[0x7FF << 21, 0xFFFFFFFF], [3 << 30 | 512 << 20 | 512 << 10 | 512] * 2,
+                      [0, 0xFFFFFFFF], [255 << 24 | 128, 51]], "<u4").T
+    harmonics = np.array([[0, 64, 255] + 6 * [128]] * 2, np.uint8)
+    head = ["ply", "format binary_little_endian 1.0", "comment origin_of_positions 10.0 20.0 30.0",
+            "element chunk 1", *(f"property float {name}" for name in names), "element vertex 2",
+            *(f"property uint packed_{name}" for name in ("position", "rotation", "scale",
+                                                         "color")),
+            "element sh 2", *(f"property uchar f_rest_{i}" for i in range(9)), "end_header", ""]
+    path = tmp_path / "a.compressed.ply"
+    data = "\n".join(head).encode() + np.array(limits, "<f4").tobytes() + words.tobytes()
+    path.write_bytes(data + harmonics.tobytes())
+    found = read_model(path)
+    assert np.allclose(world(found), [(13, 18, 27), (13, 22, 31)])
+    assert np.allclose(found.log_scales, [(-5, -5, -5), (0, 0, 0)])
+    assert turns(found.quaternions, np.array([[0, 0, 0, 1.0]] * 2)).max() < 0.01
+    assert np.allclose(0.28209479 * found.sh_constant[0] + 0.5, (1 + has_colours, 0, 0))
+    assert np.allclose(opacity(found), (128 / 255, 0.2), atol=1e-3)
+    assert found.sh_degree == 1 and np.allclose(found.sh_rest[0, :, 0], (-4, -1.984375, 4))
+    for cut in (200, len(data) - 1, len(data)):
+        path.write_bytes(data[:cut])
+        with pytest.raises(InputError, match="damaged or cut short"):
+            read_model(path)
+    with pytest.raises(InputError, match="compressed PLY is only read; write .sog or .spz"):
+        write_model(path, found)

@@ -52,7 +52,7 @@ def uneven(degree):
     return made
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".sog", ".spz"])
+@pytest.mark.parametrize("suffix", [".ply", ".sog", ".spz"])
 @pytest.mark.parametrize("degree", [0, 1, 3])
 def test_it_reads_what_we_write(tmp_path, convert, suffix, degree):
     gaussians = uneven(degree)
@@ -71,7 +71,7 @@ def test_we_read_what_it_writes(tmp_path, convert, suffix):
     gaussians = uneven(2)
     gaussians.save(tmp_path / "a.ply")
     found = read_model(convert(tmp_path / "a.ply", tmp_path / f"b{suffix}"))
-    bounds = list(BOUNDS[suffix])
+    bounds = list(BOUNDS.get(suffix, (1 / 1023, 0.005, 0.01, 0.01, 0.003, 1 / 32)))
     bounds[0] = max(bounds[0], 1e-3)
     bounds[2], bounds[4], bounds[5] = 2 * bounds[2], 1 / 255, 2 * bounds[5]  # it rounds down
     if suffix == ".sog":  # its palette has few entries, which it chooses at random
@@ -118,7 +118,7 @@ def test_our_gltf_is_its_gltf(tmp_path, convert):
 
 def test_one_gaussian(tmp_path, convert):
     one = Gaussians({name: values[:1] for name, values in uneven(1).rows.items()}, 1)
-    for suffix in (".compressed.ply", ".sog", ".spz"):
+    for suffix in (".sog", ".spz"):
         write_model(tmp_path / f"a{suffix}", one)
         compare(read_model(convert(tmp_path / f"a{suffix}", tmp_path / "b.ply")), one,
                 BOUNDS[suffix])

@@ -274,7 +274,7 @@ def refused(folder, words):
 
 
 @pytest.mark.parametrize("text, words", [
-    ("{", "transforms.json: not a transforms.json, or damaged"),
+    ("{", "transforms.json: not a transforms.json, damaged or"),
     ('{"frames": [1, NaN]}', "NaN is not a finite number"),
     ('{"frames": [3]}', "frame 0 is damaged"),
     ("[]", "not a JSON object"),
