@@ -13,31 +13,22 @@ import pycolmap
 from clsplat.sfm.photos import SourceCamera
 
 
-def image_name(index: int) -> str:
-    """The name of a photo in the database, by its index."""
-    return f"{index:08d}"
-
-
 def image_id(index: int) -> int:
     """The id of a photo in the database, by its index."""
     return index + 1
 
 
-def photo_index(number: int) -> int:
-    """The index of a photo, by its id in the database."""
-    return number - 1
+def image_name(index: int) -> str:
+    """The name of a photo in the database, by its index."""
+    return f"{index:08d}"
 
 
 def partners(path: Path) -> Counter[int]:
-    """With how many photos each photo, by its index, shares features that two views can have."""
-    database, result = pycolmap.Database.open(path), Counter[int]()
-    try:
-        for pair, inliers in zip(*database.read_two_view_geometry_num_inliers()):
-            for number in pycolmap.pair_id_to_image_pair(pair) if inliers else ():
-                result[photo_index(number)] += 1
-    finally:
-        database.close()
-    return result
+    """With how many photos each photo, by its id, shares features that two views can have."""
+    with pycolmap.Database.open(path) as database:
+        return Counter(number for pair, inliers in zip(
+            *database.read_two_view_geometry_num_inliers()) if inliers
+            for number in pycolmap.pair_id_to_image_pair(pair))
 
 
 def create_database(path: Path, cameras: Sequence[SourceCamera]) -> None:
@@ -45,17 +36,22 @@ def create_database(path: Path, cameras: Sequence[SourceCamera]) -> None:
     partial = path.with_name(path.name + ".part")
     for left in path.parent.glob(partial.name + "*"):  # SQLite keeps two files beside it
         left.unlink()
-    database = pycolmap.Database.open(partial)
-    for number, source in enumerate(cameras, 1):
-        database.write_camera(camera_of(number, source), use_camera_id=True)
-        sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, number)
-        rig = pycolmap.Rig()
-        rig.rig_id = number
-        rig.add_ref_sensor(sensor)
-        database.write_rig(rig, use_rig_id=True)
-        for index in source.photos:
-            _write_photo(database, index, number, sensor)
-    database.close()
+    with pycolmap.Database.open(partial) as database:
+        for number, source in enumerate(cameras, 1):
+            database.write_camera(camera_of(number, source), use_camera_id=True)
+            sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, number)
+            rig = pycolmap.Rig()
+            rig.rig_id = number
+            rig.add_ref_sensor(sensor)
+            database.write_rig(rig, use_rig_id=True)
+            for index in source.photos:
+                image = pycolmap.Image(name=image_name(index), camera_id=number)
+                frame = pycolmap.Frame()
+                image.image_id = frame.frame_id = image_id(index)
+                frame.rig_id = number
+                frame.add_data_id(pycolmap.data_t(sensor, image.image_id))
+                database.write_image(image, use_image_id=True)
+                database.write_frame(frame, use_frame_id=True)
     os.replace(partial, path)
 
 
@@ -65,18 +61,6 @@ def camera_of(number: int, source: SourceCamera) -> pycolmap.Camera:
         number, source.model, source.focal, source.width, source.height)
     camera.has_prior_focal_length = source.focal_known
     if source.calibration is not None:
-        k1, k2, p1, p2, _ = source.calibration.distortion
-        camera.params = [*source.calibration.focal, *source.calibration.centre, k1, k2, p1, p2]
+        camera.params = [*source.calibration.focal, *source.calibration.centre,
+                         *source.calibration.distortion[:4]]
     return camera
-
-
-def _write_photo(database: pycolmap.Database, index: int, camera: int,
-                 sensor: pycolmap.sensor_t) -> None:
-    image = pycolmap.Image(name=image_name(index), camera_id=camera)
-    image.image_id = image_id(index)
-    database.write_image(image, use_image_id=True)
-    frame = pycolmap.Frame()
-    frame.frame_id = image_id(index)
-    frame.rig_id = camera
-    frame.add_data_id(pycolmap.data_t(sensor, image_id(index)))
-    database.write_frame(frame, use_frame_id=True)

@@ -7,7 +7,7 @@ all photos that match others, or fits badly, and the better of both is kept.
 
 import itertools
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import pycolmap
 
 from clsplat.errors import InputError
-from clsplat.sfm.database import camera_of, partners, photo_index
+from clsplat.sfm.database import camera_of, partners
 from clsplat.sfm.photos import SourceCamera, are_calibrated
 from clsplat.sfm.progress import Progress
 
@@ -32,7 +32,7 @@ class Mapped:
     ----------
     reconstruction : a pycolmap.Reconstruction, the best one.
     method : "global" or "incremental".
-    elsewhere : indices of photos that were placed in another part of the scene only.
+    elsewhere : ids of photos that were placed in another part of the scene only.
     """
 
     reconstruction: Any
@@ -60,9 +60,11 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
     found = {"global": _global(database, work / "global", fixed)}
     if not fixed and not all(map(square, found["global"])):
         use_square_pixels(database, cameras)
-        found = {"global": _global(database, work / "global", fixed)}
+        found["global"] = _global(database, work / "global", fixed)
     # photos that match no other one cannot be placed in any way
-    if matched and not good(found["global"], matched):
+    if matched and not any(model.num_reg_images() == matched
+                           and model.compute_mean_reprojection_error() <= LARGEST_ERROR
+                           for model in found["global"]):
         registered = itertools.count(3)  # the first call follows the first pair and one more
 
         def show() -> None:
@@ -74,21 +76,18 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
 
         progress.phase("incremental mapping")
         found["incremental"] = _incremental(database, work / "incremental", fixed, show)
-    method, models = max(found.items(), key=lambda item: max(map(quality, item[1]), default=(0, 0)))
+
+    def size(model: Any) -> tuple[int, int]:
+        return model.num_reg_images(), model.compute_num_observations()
+
+    method, models = max(found.items(), key=lambda item: max(map(size, item[1]), default=(0, 0)))
     if not models:
         raise InputError(f"{work.parent}: no photos could be placed, since too few of their "
                          "features match; photos must be sharp, overlap by more than half, and be "
                          "taken from different places")
-    best = max(models, key=quality)
-    own = set(best.reg_image_ids())
-    others = {number for model in models for number in model.reg_image_ids()} - own
-    return Mapped(best, method, tuple(sorted(map(photo_index, others))))
-
-
-def good(models: Iterable[Any], photos: int) -> bool:
-    """Whether one of the reconstructions has all photos and fits their features."""
-    return any(model.num_reg_images() == photos
-               and model.compute_mean_reprojection_error() <= LARGEST_ERROR for model in models)
+    best = max(models, key=size)
+    others = {number for model in models for number in model.reg_image_ids()}
+    return Mapped(best, method, tuple(sorted(others - set(best.reg_image_ids()))))
 
 
 def square(model: Any) -> bool:
@@ -98,20 +97,12 @@ def square(model: Any) -> bool:
                for camera in model.cameras.values())
 
 
-def use_square_pixels(database: Path, cameras: Sequence[SourceCamera]) -> None:
+def use_square_pixels(path: Path, cameras: Sequence[SourceCamera]) -> None:
     """Give cameras that may have two focal lengths and decentring a model that has neither."""
-    opened = pycolmap.Database.open(database)
-    try:
+    with pycolmap.Database.open(path) as database:
         for number, source in enumerate(cameras, 1):
             if source.model == "OPENCV" and source.calibration is None:
-                opened.update_camera(camera_of(number, replace(source, model="RADIAL")))
-    finally:
-        opened.close()
-
-
-def quality(model: Any) -> tuple[int, int]:
-    """What is larger for a better reconstruction: its photos, then its observations."""
-    return model.num_reg_images(), model.compute_num_observations()
+                database.update_camera(camera_of(number, replace(source, model="RADIAL")))
 
 
 def _global(database: Path, folder: Path, fixed: bool) -> list[Any]:
@@ -122,30 +113,28 @@ def _global(database: Path, folder: Path, fixed: bool) -> list[Any]:
     else:
         calibration = pycolmap.ViewGraphCalibrationOptions()
         calibration.random_seed = SEED
-        _run(pycolmap.calibrate_view_graph, database, calibration)
+        _models(pycolmap.calibrate_view_graph, database, calibration)
     # without photos below the second path, COLMAP leaves points without colours
-    return _models(_run(pycolmap.global_mapping, database, _emptied(folder), folder, options))
+    return _models(pycolmap.global_mapping, database, _emptied(folder), folder, options)
 
 
-def _incremental(database: Path, folder: Path, fixed: bool, registered: Any) -> list[Any]:
+def _incremental(database: Path, folder: Path, fixed: bool, registered: Callable[[], None]
+                 ) -> list[Any]:
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed, options.extract_colors = SEED, False
     if fixed:
         options.ba_refine_focal_length = options.mapper.abs_pose_refine_focal_length = False
-    return _models(_run(pycolmap.incremental_mapping, database, _emptied(folder), folder, options,
-                        next_image_callback=registered))
+    return _models(pycolmap.incremental_mapping, database, _emptied(folder), folder, options,
+                   next_image_callback=registered)
 
 
-def _models(found: Any) -> list[Any]:
-    return [] if found is None else list(found.values())
-
-
-def _run(function: Any, *arguments: Any, **named: Any) -> Any:
-    """Call a function of pycolmap; None if it fails, as it does where hardly anything matches."""
+def _models(function: Any, *arguments: Any, **named: Any) -> list[Any]:
+    """What a function of pycolmap finds; [] if it fails, as where hardly anything matches."""
     try:
-        return function(*arguments, **named)
+        found = function(*arguments, **named)
     except (RuntimeError, ValueError):
-        return None
+        return []
+    return list(found.values()) if isinstance(found, dict) else []
 
 
 def _emptied(folder: Path) -> Path:

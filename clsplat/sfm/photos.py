@@ -68,30 +68,14 @@ class SourceCamera:
     photos: tuple[int, ...]
 
 
-def photo_root(folder: Path) -> Path:
-    """The folder below which photos are searched: images/ if the folder itself has none."""
-    if not folder.is_dir():
-        what = "is neither a folder nor a video" if folder.exists() else "no such folder"
-        raise InputError(f"{folder}: {what}; give a folder with photos, or a video")
-    if not any(is_photo(path) and not photo_of(path.name) for path in folder.iterdir()) and (
-            folder / IMAGES).is_dir():
-        return folder / IMAGES
-    return folder
-
-
 def has_photos(folder: Path) -> bool:
     """Whether a folder, its images/ or one of its other subfolders has a photo."""
-    return folder.is_dir() and any(map(is_photo, _files(folder)))
+    return folder.is_dir() and any(map(_is_photo, _files(folder)))
 
 
 def is_video(path: Path) -> bool:
     """Whether a path is that of a video, by its suffix."""
     return path.suffix.lower() in VIDEOS and not path.is_dir()
-
-
-def is_photo(path: Path) -> bool:
-    """Whether a name is that of a photo that can be read."""
-    return path.suffix.lower() in PHOTO_SUFFIXES and not path.name.startswith(".")
 
 
 def find_photos(folder: Path, masks: Path | None = None
@@ -112,19 +96,22 @@ def find_photos(folder: Path, masks: Path | None = None
     ------
     InputError : there are fewer than three, or a mask for none of them; a mask does not fit.
     """
-    root = photo_root(folder)
+    root = _photo_root(folder)
     if masks is not None and not masks.is_dir():
         raise InputError(f"--masks {masks}: no such folder; give one with masks NAME.png")
     beside = [masks] if masks is not None else mask_folders(folder) if root != folder else []
     files = MaskFiles(beside, beside=masks is None)
-    hidden = [masks] if masks is not None else _mask_folders(root)
+    # a folder of photos may be named as one of masks, too
+    hidden = [masks] if masks is not None else [
+        below for below, _ in _folders(root)
+        if below.name.lower() in FOLDERS and below != root and _are_masks(below)]
     photos, refused, unread, stems = [], {}, [], set()
     named = []  # as masks
     for path in sorted(_files(root, hidden), key=lambda path: path.relative_to(root).as_posix()):
         relative = path.relative_to(root)
         if path.suffix.lower() in UNREAD:
             unread.append(relative)
-        if not is_photo(path):
+        if not _is_photo(path):
             continue
         if photo_of(path.name):
             named.append(path)
@@ -138,8 +125,11 @@ def find_photos(folder: Path, masks: Path | None = None
             metadata = read_metadata(path)
         except InputError as error:
             refused[name] = str(error)
-        else:
-            photos.append(SourcePhoto(name, path, metadata, _mask_of(files, name, path, metadata)))
+            continue
+        mask = files.of(name, path)
+        if mask is not None:
+            check_shape(mask, "mask", image_size(mask), (metadata.width, metadata.height))
+        photos.append(SourcePhoto(name, path, metadata, mask))
     if len(photos) < LEAST_PHOTOS:
         why = (f"; {len(unread)} files are camera RAW or HEIC: convert them to JPEG" if unread else
                f"; {next(iter(refused.values()))}" if refused else "")
@@ -149,13 +139,28 @@ def find_photos(folder: Path, masks: Path | None = None
     refused |= {relative.as_posix(): "camera RAW and HEIC are not read: convert it to JPEG"
                 for relative in unread if relative.with_suffix("") not in stems}
     if masks is None:
-        named += [path for folder in hidden for path in _files(folder) if is_photo(path)]
+        named += [path for below in hidden for path in _files(below) if _is_photo(path)]
         refused |= {path.relative_to(root).as_posix(): NO_PHOTO for path in named
                     if path not in files.used}
     if beside and not any(photo.mask for photo in photos):
         raise InputError(f"{'--masks ' if masks else ''}{beside[0]}: has a mask for none of the "
                          "photos; name them as the photos, with .png as the suffix or after it")
     return photos, refused
+
+
+def _photo_root(folder: Path) -> Path:
+    """The folder below which photos are searched: images/ if the folder itself has none."""
+    if not folder.is_dir():
+        what = "is neither a folder nor a video" if folder.exists() else "no such folder"
+        raise InputError(f"{folder}: {what}; give a folder with photos, or a video")
+    if not any(_is_photo(path) and not photo_of(path.name) for path in folder.iterdir()) and (
+            folder / IMAGES).is_dir():
+        return folder / IMAGES
+    return folder
+
+
+def _is_photo(path: Path) -> bool:
+    return path.suffix.lower() in PHOTO_SUFFIXES and not path.name.startswith(".")
 
 
 def _files(root: Path, masks: Iterable[Path] = ()) -> Iterator[Path]:
@@ -168,34 +173,17 @@ def _files(root: Path, masks: Iterable[Path] = ()) -> Iterator[Path]:
 
 
 def _folders(root: Path) -> Iterator[tuple[Path, list[Path]]]:
-    """The folders below a folder with their files, except those that `_files` leaves out."""
     for folder, names, files in os.walk(root):
         names[:] = [name for name in names if not name.startswith(".")
                     and not any((Path(folder) / name / mark).exists() for mark in WRITTEN)]
         yield Path(folder), [Path(folder) / name for name in files]
 
 
-def _mask_folders(root: Path) -> list[Path]:
-    """The folders among the photos that have a mask for one of those beside them. A folder of
-    photos may be named so, too."""
-    return [folder for folder, _ in _folders(root) if folder.name.lower() in FOLDERS
-            and folder != root and _are_masks(folder)]
-
-
 def _are_masks(folder: Path) -> bool:
     """Whether a folder has a mask for one of the photos beside it."""
     files = MaskFiles([folder], beside=False)
-    names = (path.relative_to(folder.parent).as_posix()
-             for path in _files(folder.parent, [folder]) if is_photo(path))
-    return any(map(files.of, names))
-
-
-def _mask_of(files: MaskFiles, name: str, path: Path, metadata: PhotoMetadata) -> Path | None:
-    """The mask of a photo, whose shape is checked; None: it has none."""
-    mask = files.of(name, path)
-    if mask is not None:
-        check_shape(mask, "mask", image_size(mask), (metadata.width, metadata.height))
-    return mask
+    return any(files.of(path.relative_to(folder.parent).as_posix())
+               for path in _files(folder.parent, [folder]) if _is_photo(path))
 
 
 def cameras_of(photos: list[SourcePhoto], model: str = "") -> list[SourceCamera]:
@@ -225,9 +213,8 @@ def are_calibrated(cameras: Iterable[SourceCamera]) -> bool:
 def _camera(photos: list[SourcePhoto], rows: list[int], model: str) -> SourceCamera:
     data = photos[rows[0]].metadata
     calibration = data.calibration if model in ("", "OPENCV") else None
-    focals = [value for row in rows if (value := photos[row].metadata.focal_pixels)]
-    focal = sorted(focals)[len(focals) // 2] if focals else (
-        DEFAULT_FOCAL * max(data.width, data.height))
+    focals = sorted(value for row in rows if (value := photos[row].metadata.focal_pixels))
+    focal = focals[len(focals) // 2] if focals else DEFAULT_FOCAL * max(data.width, data.height)
     if calibration is not None:
         model, focal = "OPENCV", sum(calibration.focal) / 2
     elif not model:

@@ -4,7 +4,7 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """The part of `clsplat.cli.progress.Progress` that is used here."""
+    """The methods of `clsplat.cli.progress.Progress` that are used here."""
 
     def count(self, what: str, done: int, total: int) -> None:
         """Show how many of `total` things are done."""
@@ -19,11 +19,7 @@ class Progress(Protocol):
 class Silent:
     """Shows nothing."""
 
-    def count(self, what: str, done: int, total: int) -> None:
-        """Ignore a count."""
+    def _ignore(self, *_: object) -> None:
+        pass
 
-    def phase(self, text: str) -> None:
-        """Ignore a phase."""
-
-    def message(self, text: str) -> None:
-        """Ignore a message."""
+    count = phase = message = _ignore

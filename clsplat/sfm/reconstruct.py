@@ -1,10 +1,13 @@
-"""Makes a scene from a folder of photos: the pipeline, step by step."""
+"""Makes a scene from a folder of photos: the pipeline, step by step.
+
+What is unfinished lies in the folder .sfm of the scene, so that a killed command continues.
+"""
 
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +31,12 @@ from clsplat.io.photos.mask_files import MASKS
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, write_object
 from clsplat.io.regular import read_regular
+from clsplat.io.scenes.colmap import write_reconstruction
 from clsplat.io.scenes.colmap_files import CAMERA_MODELS
-from clsplat.sfm.database import create_database, photo_index
-from clsplat.sfm.features import extract_features
+from clsplat.io.scenes.sources import IMAGES
+from clsplat.sfm.database import create_database
+from clsplat.sfm.features import extract_features, match_pairs
 from clsplat.sfm.mapping import Mapped, map_photos
-from clsplat.sfm.matching import match_pairs
 from clsplat.sfm.pairs import choose_pairs
 from clsplat.sfm.photos import (
     RECORD,
@@ -45,12 +49,12 @@ from clsplat.sfm.photos import (
     is_video,
 )
 from clsplat.sfm.progress import Progress
-from clsplat.sfm.record import reasons, record_of
-from clsplat.sfm.scene import write_scene
-from clsplat.sfm.unfinished import Unfinished
+from clsplat.sfm.scene import reasons, record_of, write_scene
+from clsplat.sfm.video import DONE as FRAMES_DONE
 from clsplat.sfm.video import check_video, extract_frames
 
-OWN_FILES = ("images", MASKS, "sparse", "georeference.json", "orientation.json")
+WRITTEN = (IMAGES, MASKS, "sparse", "georeference.json", "orientation.json")
+STATE, MODEL, MAPPED = "state.json", "model", "mapped.json"  # in the folder .sfm
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class SfmOptions:
     Attributes
     ----------
     masks : a folder of masks, see `find_photos`, or None.
-    matching : which pairs are matched, one of `pairs.METHODS`.
+    matching : which pairs are matched, as for `pairs.choose_pairs`.
     camera_model : COLMAP's name of the camera model; "": by what is known of each camera.
     frames : of a video, how many are used.
     crs : coordinate reference system of the scene; "": the UTM zone.
@@ -76,20 +80,6 @@ class SfmOptions:
     crs: str = ""
     control_points: Path | None = None
     check_points: tuple[str, ...] = ()
-
-
-@dataclass
-class _Times:
-    """Seconds that phases took."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def of(self, phase: str) -> Iterator[None]:
-        """Measure the block."""
-        start = time.monotonic()
-        yield
-        self.seconds[phase] = round(time.monotonic() - start, 1)
 
 
 def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progress,
@@ -117,12 +107,18 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
     if options.camera_model and options.camera_model not in models:
         raise InputError(f"--camera-model {options.camera_model}: is none of "
                          f"{', '.join(sorted(models))}; leave it out, or give one of them")
-    crs = scene_crs(options.crs) if options.crs else None
-    control = _control(options, crs)
+    control = _control(options)
     sources = source, options.masks
     _check_output(output, sources, overwrite)
-    times = _Times()
-    with times.of("photos"):
+    seconds: dict[str, float] = {}
+
+    @contextmanager
+    def timed(phase: str) -> Iterator[None]:
+        start = time.monotonic()
+        yield
+        seconds[phase] = round(time.monotonic() - start, 1)
+
+    with timed("photos"):
         found = _photos(source, options, progress)
     if found is not None:
         check_marks(control.points, {photo.name for photo in found[0]})
@@ -131,35 +127,53 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
     make_folder(output)
     with exclusive(output):
         _check_output(output, sources, overwrite)  # another process may have finished a scene
-        _remove_scene(output, keeps=not overwrite)
         unfinished = Unfinished(output)
-        make_folder(unfinished.folder)
+        if overwrite and (output / RECORD).exists():
+            unfinished.forget()
+        (output / RECORD).unlink(missing_ok=True)
         if found is None:
-            with times.of("frames"):
+            with timed("frames"):
                 extract_frames(source, unfinished.frames, options.frames, progress)
             found = find_photos(unfinished.frames)
         photos, refused = found
         cameras = cameras_of(photos, options.camera_model)
-        resumed = unfinished.open(photos, _kept(options), overwrite)
-        mapped, matching = _mapped(unfinished, photos, refused, cameras, options, times, progress,
-                                   is_video(source))
-        model, placed, refused_place = _placed(mapped, unfinished, photos, cameras, control)
-        with times.of("scene"):
+        kept = {"masks": options.masks and str(options.masks.resolve()),
+                "matching": options.matching, "camera_model": options.camera_model}
+        resumed = unfinished.open(photos, kept, overwrite)
+        database = unfinished.folder / "database.db"
+        try:
+            if not database.exists():
+                create_database(database, cameras)
+            with timed("features"):
+                refused |= extract_features(database, photos, progress)
+            with timed("pairs"):
+                pairs, matching = choose_pairs(database, photos, options.matching,
+                                               is_video(source), progress)
+            progress.message(f"matching {matching}")
+            with timed("matching"):
+                match_pairs(database, pairs, progress)
+        except RuntimeError as error:  # of SQLite in pycolmap, which gives no other reason
+            raise InputError(f"{database}: cannot be written or read ({reason(error)}); check that "
+                             "the disk has space, and give the command again") from error
+        with timed("mapping"):
+            mapped = unfinished.mapped(lambda: map_photos(database, cameras, len(photos), progress))
+        model, placed, refusal = _placed(mapped, unfinished, photos, cameras, control)
+        with timed("scene"):
             names = write_scene(output, model, photos, progress)
         write_orientation(output, placed.up)
         write_georeference(output, placed.georeference)
-        missing = reasons(unfinished.database, photos, set(names), mapped.elsewhere, refused)
-        record = {"version": __version__, "source": plain(source.resolve()),
-                  "masks": _kept(options)["masks"], "matching": matching,
-                  "levels": next((photo.levels for photo in photos if photo.levels), None),
-                  **record_of(mapped, cameras, placed, missing), "seconds": times.seconds,
-                  "resumed": resumed}
-        write_object(output / RECORD, record)
-        if refused_place and (options.control_points or options.crs):
+        if refusal and (options.control_points or options.crs):
             raise InputError(
                 f"{output}: the scene is complete, but {placed.notes[0]}; correct this and give "
                 "the command again, which goes on from here, or train the scene without a place")
-        unfinished.remove()
+        missing = reasons(database, photos, set(names), mapped.elsewhere, refused)
+        record = {"version": __version__, "source": plain(source.resolve()),
+                  "masks": kept["masks"], "matching": matching,
+                  "levels": next((photo.levels for photo in photos if photo.levels), None),
+                  **record_of(mapped, cameras, placed, missing), "seconds": seconds,
+                  "resumed": resumed}
+        write_object(output / RECORD, record)
+        shutil.rmtree(unfinished.folder)
     return record
 
 
@@ -178,37 +192,16 @@ def is_finished(output: Path, source: Path) -> bool:
         raise InputError(f"{output}: was made of {made_of}, not of {source}; remove it, or give "
                          "another -o")
     if not is_video(source):
-        photos, refused = find_photos(source, Path(masks) if isinstance(masks, str) else None)
-        count = len(photos) + len(refused)
+        count = sum(map(len, find_photos(source, Path(masks) if isinstance(masks, str) else None)))
         if record.get("photos") != count:
             raise InputError(f"{output}: was made of {record.get('photos')} photos of {source}, "
                              f"which now has {count}; remove it to make it again")
     return True
 
 
-def _placed(mapped: Mapped, unfinished: Unfinished, photos: Sequence[SourcePhoto],
-            cameras: Sequence[SourceCamera], control: ControlPoints
-            ) -> tuple[pycolmap.Reconstruction, Placed, bool]:
-    """The reconstruction in its place, what was found, and whether it has no place."""
-    def named(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
-        for image in model.images.values():
-            image.name = photos[photo_index(image.image_id)].name
-        return model
-
-    metadata = {photo.name: photo.metadata for photo in photos}
-    model = named(mapped.reconstruction)
-    try:
-        placed = place_reconstruction(
-            model, metadata, crs=control.crs or None, control=control.points,
-            vertical=control.vertical, adjusts=True, keep_focal=are_calibrated(cameras))
-    except NotGeoreferenced as error:
-        model = named(unfinished.kept().reconstruction)  # as it was before an adjustment
-        return model, turned(model, metadata, error), True
-    return model, replace(placed, notes=(*control.notes, *placed.notes)), False
-
-
-def _control(options: SfmOptions, crs: str | None) -> ControlPoints:
+def _control(options: SfmOptions) -> ControlPoints:
     """The ground control points, and the CRS of the scene, "" if it is not given."""
+    crs = scene_crs(options.crs) if options.crs else None
     if options.control_points is None:
         require_no_checks(options.check_points)
         return ControlPoints(crs=crs or "")
@@ -216,48 +209,21 @@ def _control(options: SfmOptions, crs: str | None) -> ControlPoints:
 
 
 def _check_output(output: Path, sources: Iterable[Path | None], overwrite: bool) -> None:
-    """InputError if the folder of a scene holds something that may not be replaced.
-
-    Parameters
-    ----------
-    sources : folders and files from which the scene is made.
-    """
-    if (output / RECORD).exists():
-        if not overwrite and not Unfinished.is_in(output):
-            raise InputError(f"{output}: holds a reconstructed scene already; give another folder, "
-                             "or --overwrite")
-    elif output.exists() and not Unfinished.is_in(output) and (
-            not output.is_dir() or {path.name for path in output.iterdir()} - {LOCK, HOLDER}):
-        raise InputError(f"{output}: exists and was not made by `clsplat sfm`; give another folder")
+    """InputError if the folder of a scene holds something that may not be replaced, or one of the
+    sources from which the scene is made."""
+    if not (output / UNFINISHED).is_dir():
+        if (output / RECORD).exists():
+            if not overwrite:
+                raise InputError(f"{output}: holds a reconstructed scene already; give another "
+                                 "folder, or --overwrite")
+        elif output.exists() and (not output.is_dir() or {
+                path.name for path in output.iterdir()} - {LOCK, HOLDER}):
+            raise InputError(f"{output}: exists and was not made by `clsplat sfm`; give another "
+                             "folder")
     for path in filter(None, sources):
         if path.resolve().is_relative_to(output.resolve()):
             raise InputError(f"{path}: is in {output}, whose files are replaced; give another "
                              "folder for the scene")
-
-
-def _remove_scene(output: Path, keeps: bool) -> None:
-    """Remove a finished scene that is to be replaced, its record first.
-
-    Parameters
-    ----------
-    keeps : whether only the record is removed, of a scene that lacks its place.
-    """
-    if (output / RECORD).exists():
-        (output / RECORD).unlink()
-        if keeps:
-            return
-        for name in (*OWN_FILES, UNFINISHED):  # the last, where a command was killed at its end
-            path = output / name
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink(missing_ok=True)
-
-
-def _kept(options: SfmOptions) -> dict[str, Any]:
-    """The options on which features, matches and poses depend."""
-    return {"masks": options.masks and str(options.masks.resolve()), "matching": options.matching,
-            "camera_model": options.camera_model}
 
 
 def _photos(source: Path, options: SfmOptions, progress: Progress
@@ -281,24 +247,89 @@ def _photos(source: Path, options: SfmOptions, progress: Progress
     return [replace(photo, levels=each) for photo, each in zip(photos, levels)], refused
 
 
-def _mapped(unfinished: Unfinished, photos: Sequence[SourcePhoto], refused: dict[str, str],
-            cameras: Sequence[SourceCamera], options: SfmOptions, times: _Times,
-            progress: Progress, is_sequence: bool) -> tuple[Mapped, str]:
-    """The reconstruction, and which pairs were matched; `refused` gets damaged photos."""
-    database = unfinished.database
+class Unfinished:
+    """The folder .sfm of a scene, which is made.
+
+    Attributes
+    ----------
+    folder : its path.
+    frames : a folder, of a video.
+    """
+
+    def __init__(self, scene: Path) -> None:
+        self.folder = scene / UNFINISHED
+        self.frames = self.folder / "frames"
+        make_folder(self.folder)
+
+    def open(self, photos: Sequence[SourcePhoto], options: dict[str, Any], overwrite: bool) -> bool:
+        """Begin or continue a reconstruction; whether it continues.
+
+        Parameters
+        ----------
+        options : on which features, matches and poses depend.
+        overwrite : whether what other photos or options left may be removed.
+
+        Raises
+        ------
+        InputError : the folder has what other photos or options left, or is damaged.
+        """
+        state = {"options": options, "photos": [
+            [photo.name, photo.path.stat().st_size, str(photo.mask)] for photo in photos]}
+        path = self.folder / STATE
+        if path.exists():
+            with suppress(OSError, ValueError):
+                if object_of(read_regular(path)) == state:
+                    return True
+            if not overwrite:
+                raise InputError(f"{self.folder.parent}: holds an unfinished reconstruction of "
+                                 "other photos or with other options; give another folder, or "
+                                 "--overwrite")
+        # without a state, what is there was left by a command that was killed while it removed it
+        self.forget()
+        write_object(path, state)
+        return False
+
+    def forget(self) -> None:
+        """Remove the scene, and all of this folder but the frames of a video; the state first."""
+        (self.folder / STATE).unlink(missing_ok=True)
+        kept = self.frames, self.folder / FRAMES_DONE
+        for path in [*self.folder.iterdir(), *(self.folder.parent / name for name in WRITTEN)]:
+            if path.is_dir() and path not in kept:
+                shutil.rmtree(path)
+            elif path not in kept:
+                path.unlink(missing_ok=True)
+
+    def mapped(self, compute: Callable[[], Mapped]) -> Mapped:
+        """The reconstruction that is kept, or else the computed one, which is kept then."""
+        kept, partial = self.folder / MODEL, self.folder / f"{MODEL}.part"
+        if not kept.is_dir():
+            result = compute()
+            shutil.rmtree(partial, ignore_errors=True)
+            partial.mkdir()
+            write_reconstruction(partial, result.reconstruction)
+            write_object(partial / MAPPED, {"method": result.method,
+                                            "elsewhere": list(result.elsewhere)})
+            partial.rename(kept)
+        record = object_of(read_regular(kept / MAPPED))
+        return Mapped(pycolmap.Reconstruction(kept), record["method"], tuple(record["elsewhere"]))
+
+
+def _placed(mapped: Mapped, unfinished: Unfinished, photos: Sequence[SourcePhoto],
+            cameras: Sequence[SourceCamera], control: ControlPoints
+            ) -> tuple[pycolmap.Reconstruction, Placed, bool]:
+    """The reconstruction in its place, what was found, and whether it has no place."""
+    def named(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
+        for image in model.images.values():
+            image.name = photos[image.image_id - 1].name
+        return model
+
+    metadata = {photo.name: photo.metadata for photo in photos}
+    model = named(mapped.reconstruction)
     try:
-        if not database.exists():
-            create_database(database, cameras)
-        with times.of("features"):
-            refused.update(extract_features(database, photos, progress))
-        with times.of("pairs"):
-            pairs = choose_pairs(database, photos, options.matching, is_sequence, progress)
-        progress.message(f"matching {pairs.reason}")
-        with times.of("matching"):
-            match_pairs(database, pairs, progress)
-    except RuntimeError as error:  # of SQLite in pycolmap, which gives no other reason
-        raise InputError(f"{database}: cannot be written or read ({reason(error)}); check that the "
-                         "disk has space, and give the command again") from error
-    with times.of("mapping"):
-        mapped = unfinished.mapped(lambda: map_photos(database, cameras, len(photos), progress))
-    return mapped, pairs.reason
+        placed = place_reconstruction(
+            model, metadata, crs=control.crs or None, control=control.points,
+            vertical=control.vertical, adjusts=True, keep_focal=are_calibrated(cameras))
+    except NotGeoreferenced as error:
+        model = named(pycolmap.Reconstruction(unfinished.folder / MODEL))  # before an adjustment
+        return model, turned(model, metadata, error), True
+    return model, replace(placed, notes=(*control.notes, *placed.notes)), False

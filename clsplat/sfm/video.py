@@ -50,65 +50,52 @@ def extract_frames(path: Path, folder: Path, count: int, progress: Progress) -> 
     ------
     InputError : the file is not a video that PyAV can decode.
     """
-    identity = f"{os.path.realpath(path)} {path.stat().st_size} {count}"
+    identity = f"{os.path.realpath(path)} {path.stat().st_size} {count}".encode(errors="replace")
     marker = folder.with_name(DONE)
-    if marker.exists() and marker.read_bytes() == identity.encode(errors="replace"):
+    if marker.exists() and marker.read_bytes() == identity:
         return
     marker.unlink(missing_ok=True)  # first: what it describes is no longer there
     make_folder(folder)
     for old in folder.iterdir():
         old.unlink()
     try:
-        written = 0
-        for frame in _sharpest(path, count, progress):
-            write_image(folder / f"frame_{written:06d}.jpg", frame, QUALITY)
-            written += 1
+        for number, frame in enumerate(_sharpest(path, count, progress)):
+            turns = round(getattr(frame, "rotation", 0) / 90)  # counter-clockwise, degrees
+            write_image(folder / f"frame_{number:06d}.jpg",
+                        np.rot90(frame.to_ndarray(format="rgb24"), turns), QUALITY)
     except (av.FFmpegError, ValueError, IndexError) as error:
         raise InputError(f"{path}: not a video that can be decoded ({reason(error)}); convert it "
                          "to MP4") from None
-    marker.write_bytes(identity.encode(errors="replace"))
+    marker.write_bytes(identity)
 
 
-def _sharpest(path: Path, count: int, progress: Progress) -> Iterator[NDArray[np.uint8]]:
-    """The sharpest frame uint8[H, W, 3] of each of `count` windows."""
+def _sharpest(path: Path, count: int, progress: Progress) -> Iterator[Any]:
+    """The sharpest frame of each of `count` windows."""
     with av.open(os.fspath(path)) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
-        total = stream.frames or _frames_by_time(container, stream) or count
+        total = stream.frames
+        if not total and container.duration and stream.average_rate:
+            total = int(container.duration / av.time_base * stream.average_rate)
+        total = max(total, count)
         best: Any = None
         sharpest, window = -1.0, 0
         for index, frame in enumerate(container.decode(stream)):
             # a file may have more frames than its header claims
-            current = min(index * count // max(total, count), count - 1)
+            current = min(index * count // total, count - 1)
             if current != window and best is not None:
-                yield _upright(best)
-                best, sharpest = None, -1.0
+                yield best
+                sharpest = -1.0
             window = current
             progress.count("looking for sharp frames, frame", min(index + 1, total), total)
             value = sharpness(frame.to_ndarray(format="gray"))
             if value > sharpest:
                 best, sharpest = frame, value
         if best is not None:
-            yield _upright(best)
-
-
-def _frames_by_time(container: Any, stream: Any) -> int:
-    """How many frames a video has by its duration; 0 if that is unknown."""
-    if not container.duration or not stream.average_rate:
-        return 0
-    return int(container.duration / av.time_base * stream.average_rate)
+            yield best
 
 
 def sharpness(grey: NDArray[Any]) -> float:
     """The variance of the Laplacian of an image [H, W] at a small size."""
     factor = min(1.0, SHARPNESS_SIZE / max(grey.shape))
-    small = zoom(grey.astype(np.float32), factor, order=1) if factor < 1 else (
-        grey.astype(np.float32))
-    return float(laplace(small).var())
-
-
-def _upright(frame: Any) -> NDArray[np.uint8]:
-    """The pixels of a frame, turned by its metadata."""
-    pixels = frame.to_ndarray(format="rgb24")
-    turns = round(getattr(frame, "rotation", 0) / 90) % 4  # counter-clockwise, degrees
-    return np.ascontiguousarray(np.rot90(pixels, turns))
+    return float(laplace(zoom(grey.astype(np.float32), factor, order=1)).var())

@@ -12,22 +12,20 @@ from clsplat.sfm.photos import cameras_of, find_photos
 from tests.sfm.cases import Lines, picture
 
 
-def extracted(folder, **options):
+def extracted(folder):
     photos, _ = find_photos(folder)
     database = folder / "d.db"
     if not database.exists():
         create_database(database, cameras_of(photos))
     progress = Lines()
-    failures = extract_features(database, photos, progress, **options)
-    opened = pycolmap.Database.open(database)
-    keypoints = [opened.read_keypoints(image_id(index)) if opened.exists_keypoints(image_id(index))
-                 else None for index in range(len(photos))]
-    opened.close()
-    return keypoints, failures, progress
+    failures = extract_features(database, photos, progress)
+    with pycolmap.Database.open(database) as opened:
+        return [opened.read_keypoints(image_id(index)) if opened.exists_keypoints(image_id(index))
+                else None for index in range(len(photos))], failures, progress
 
 
-@pytest.mark.parametrize("working, factor", [(240, 1.0), (120, 0.5), (480, 2.0)])
-def test_features_are_in_pixels_of_the_photo(tmp_path, monkeypatch, working, factor):
+@pytest.mark.parametrize("working", [120, 480])
+def test_features_are_in_pixels_of_the_photo(tmp_path, monkeypatch, working):
     """A blob is found at its centre though features are searched at another size."""
     monkeypatch.setattr(features, "WORKING_SIZE", working)
     y, x = np.mgrid[:180, :240] + 0.5
@@ -66,8 +64,8 @@ def test_a_second_call_extracts_only_what_is_missing(tmp_path, monkeypatch):
     damaged.write_bytes(whole)
     seen = []
     own = features._features
-    monkeypatch.setattr(features, "_features", lambda extractor, photo: (
-        seen.append(photo.name), own(extractor, photo))[1])
+    monkeypatch.setattr(features, "_features", lambda photo: (
+        seen.append(photo.name), own(photo))[1])
     again, failures, progress = extracted(tmp_path)
     assert seen == ["1.png"] and not failures and len(again[1])
     assert np.array_equal(again[0], keypoints[0])

@@ -42,15 +42,6 @@ def test_raw_photos_are_named_unless_a_camera_wrote_both(tmp_path):
     assert refused == {"4.heic": "camera RAW and HEIC are not read: convert it to JPEG"}
 
 
-def test_masks_are_found_by_either_name(tmp_path):
-    folder_of(tmp_path / "images", ["a.jpg", "b/c.jpg", "d.jpg"])
-    folder_of(tmp_path / "masks", ["a.jpg.png", "b/c.png"])
-    photos, _ = find_photos(tmp_path)
-    assert [photo.name for photo in photos] == ["a.jpg", "b/c.jpg", "d.jpg"]
-    masks = tmp_path / "masks"
-    assert [photo.mask for photo in photos] == [masks / "a.jpg.png", masks / "b/c.png", None]
-
-
 def test_masks_of_another_shape_are_refused(tmp_path):
     """Of portraits as they are shown, for example, and not as they are stored."""
     folder_of(tmp_path / "images", ["a.jpg", "b.jpg", "c.jpg"])

@@ -18,11 +18,9 @@ from clsplat.errors import InputError
 from clsplat.io.photos.images import read_image
 from clsplat.io.scenes.read import read_scene
 from clsplat.sfm import reconstruct as module
-from clsplat.sfm.database import create_database
 from clsplat.sfm.mapping import Mapped
 from clsplat.sfm.photos import find_photos
-from clsplat.sfm.reconstruct import SfmOptions, is_finished, reconstruct
-from clsplat.sfm.unfinished import Unfinished
+from clsplat.sfm.reconstruct import SfmOptions, Unfinished, is_finished, reconstruct
 from tests.sfm.cases import Lines, folder_of, synthetic
 
 CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"
@@ -71,18 +69,13 @@ def test_a_scene_whose_place_was_asked_for_is_kept_without_it(tmp_path, monkeypa
     photos = folder_of(tmp_path / "in", [f"{index}.jpg" for index in range(6)], size=(320, 240))
     mapped = []
 
-    def fake(unfinished, photos, refused, cameras, *_):
-        if not unfinished.database.exists():
-            create_database(unfinished.database, cameras)
-        return unfinished.mapped(lambda: (mapped.append(1), Mapped(model, "global"))[1]), "all"
-
-    monkeypatch.setattr(module, "_mapped", fake)
+    monkeypatch.setattr(module, "map_photos", lambda *_: (
+        mapped.append(1), Mapped(model, "global"))[1])
     for _ in range(2):
         result = clsplat_("sfm", "-q", photos, "-o", tmp_path / "out", "--crs", "EPSG:32632")
         assert result.exit_code == 2 and result.output.count("\n") == 1
         assert "the scene is complete, but not georeferenced: no photo has GPS;" in result.output
         assert len(read_scene(tmp_path / "out").views) == 6
-        assert not json.loads((tmp_path / "out/sfm.json").read_text())["georeferenced"]
     assert clsplat_("sfm", "-q", photos, "-o", tmp_path / "out").output == ""
     assert not (tmp_path / "out/.sfm").exists() and len(mapped) == 1
     assert "holds a reconstructed scene already" in clsplat_(
@@ -94,17 +87,17 @@ def test_what_is_kept_belongs_to_the_same_photos_and_options(tmp_path):
     (tmp_path / "scene").mkdir()
     kept = Unfinished(tmp_path / "scene")
     assert not kept.open(photos, {"matching": "auto"}, False)
-    kept.database.write_bytes(b"features")
-    assert kept.open(photos, {"matching": "auto"}, False) and kept.database.exists()
+    database = kept.folder / "database.db"
+    database.write_bytes(b"features")
+    assert kept.open(photos, {"matching": "auto"}, False) and database.exists()
     for others, options in ((photos[:2], {"matching": "auto"}), (photos, {"matching": "all"})):
         with pytest.raises(InputError, match="of other photos or with other options"):
             kept.open(others, options, False)
-    assert not kept.open(photos[:2], {"matching": "auto"}, True) and not kept.database.exists()
+    assert not kept.open(photos[:2], {"matching": "auto"}, True) and not database.exists()
 
 
 def test_mapping_is_kept(tmp_path):
     kept = Unfinished(tmp_path)
-    kept.folder.mkdir()
     found = kept.mapped(lambda: Mapped(synthetic(), "global", (7,)))
     again = kept.mapped(lambda: pytest.fail("mapped twice"))
     assert again.method == found.method == "global" and again.elsewhere == (7,)

@@ -40,6 +40,8 @@ def test_points_are_where_the_undistorted_photos_show_them(made):
     folder, model, _ = made
     scene = read_scene(folder)
     assert len(scene.views) == 6 and len(scene.points) == 60
+    assert [path.name for path in (folder / "masks/sub").iterdir()] == ["6.png.png"]
+    assert [view.mask is not None for view in scene.views] == 5 * [False] + [True]
     compared = 0
     for view, image in zip(scene.views, (model.images[number] for number in range(1, 7))):
         assert view.lens is not None
@@ -64,12 +66,6 @@ def test_points_have_the_colours_of_the_photos(made):
     expected = [np.mean(np.floor(at), axis=0) * (0.75, 1) for at in seen]
     colours = read_scene(folder).colours
     assert np.abs(colours[:, :2] - expected).max() < 1.6 and not colours[:, 2].any()
-
-
-def test_masks_go_with_their_photos(made):
-    folder, _, _ = made
-    assert [path.name for path in (folder / "masks/sub").iterdir()] == ["6.png.png"]
-    assert [view.mask is not None for view in read_scene(folder).views] == 5 * [False] + [True]
 
 
 @pytest.mark.parametrize("has_links", [True, False])

@@ -6,13 +6,8 @@ from scipy.ndimage import gaussian_filter
 
 from clsplat.errors import InputError
 from clsplat.io.photos.images import read_image
-from clsplat.sfm.video import check_video, extract_frames, sharpness
+from clsplat.sfm.video import check_video, extract_frames
 from tests.sfm.cases import Lines, picture
-
-
-def test_blur_is_less_sharp():
-    grey = picture(120, 160)[..., 0]
-    assert sharpness(grey) > 2 * sharpness(gaussian_filter(grey, 2))
 
 
 def film(path, frames):
