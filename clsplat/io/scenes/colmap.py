@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import struct
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -52,24 +51,30 @@ def read_colmap(folder: str | Path, images: str = "") -> Scene:
     photos = photo_folder(folder, images)
     sources = [photos / name for name in arrays["files"]]
     scene = checked_scene(model, folder.resolve().name, arrays, sources)
-    scene = replace(scene, path=folder, notes=tuple(model_notes(folder, model)))
+    scene = replace(scene, path=folder, notes=tuple(_model_notes(folder, model)))
     may_be_smaller = bool(images) or photos.name != IMAGES
     return checked_photos(scene, photos if may_be_smaller else None).recentred()
 
 
 def read_model(folder: Path, may_be_empty: Collection[str] = ()
                ) -> tuple[Path, dict[str, NDArray[Any]]]:
-    """The folder of a scene folder's model, and its `model_arrays`, wherever the photos are."""
-    model = find_model(folder)
-    return model, model_arrays(model, may_be_empty)
+    """The folder of a scene folder's model, and the arrays of `lenses.undistorted_model`, with
+    images sorted by name and points by id, wherever the photos are.
+
+    Parameters
+    ----------
+    may_be_empty : parts that may be empty, such as points3D of test views.
+    """
+    model = _find_model(folder)
+    return model, _model_arrays(model, may_be_empty)
 
 
 def has_model(folder: Path) -> bool:
-    """Whether a folder is meant to have a sparse model, where `find_model` looks for it."""
+    """Whether a folder is meant to have a sparse model, where `read_model` looks for it."""
     return _is_model(folder) or (folder / "sparse").exists()
 
 
-def find_model(folder: Path) -> Path:
+def _find_model(folder: Path) -> Path:
     """Find the sparse model of a scene folder: sparse/0, sparse, the folder itself, or else the
     model with the most images below sparse/."""
     if not folder.is_dir():
@@ -79,26 +84,19 @@ def find_model(folder: Path) -> Path:
             return model
     others = _numbered_models(folder)
     if others:
-        return max(others, key=registered)
+        return max(others, key=_registered)
     raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; of "
                      "photos, make a scene with `clsplat sfm` or let `clsplat train` do it "
                      "(docs/guide/photos.md), or give another folder")
 
 
-def model_notes(folder: Path, model: Path) -> Iterator[str]:
-    """Notes for the user about models of a scene folder that are not used."""
-    others = [other for other in _numbered_models(folder) if other != model]
-    largest = max(others, key=registered, default=None)
-    if model.parent.name != "sparse" or largest is None and model.name == "0":
-        return
-    used = f"the model sparse/{model.name} is used, with {registered(model)} images"
-    if largest is None:
-        yield f"{used}: there is no sparse/0"
-    elif registered(largest) > registered(model):
-        yield (f"{used}, and sparse/{largest.name} has {registered(largest)}: COLMAP has split the "
-               f"scene; to train the larger part, move it to sparse/0 of a folder of its own")
-    elif model.name != "0":
-        yield f"{used}: the largest of {len(others) + 1} below sparse/, where there is no sparse/0"
+def _model_notes(folder: Path, model: Path) -> Iterator[str]:
+    """A note for the user if another model of a scene folder has more images."""
+    largest = max(_numbered_models(folder), key=_registered, default=model)
+    if model.parent.name == "sparse" and _registered(largest) > _registered(model):
+        yield (f"the model sparse/{model.name} is used, with {_registered(model)} images, and "
+               f"sparse/{largest.name} has {_registered(largest)}: COLMAP has split the scene; to "
+               "train the larger part, move it to sparse/0 of a folder of its own")
 
 
 def _is_model(folder: Path) -> bool:
@@ -111,28 +109,20 @@ def _numbered_models(folder: Path) -> list[Path]:
                    if path.name.isdecimal() and _is_model(path)), key=lambda path: int(path.name))
 
 
-def registered(model: Path) -> int:
+def _registered(model: Path) -> int:
     """How many images a model claims to have; 0 if it is damaged."""
     try:
         if (model / "images.bin").exists():
             with open_regular(model / "images.bin") as file:
-                return int(struct.unpack("<Q", file.read(8))[0])
+                return int.from_bytes(file.read(8), "little")
         lines = read_regular(model / "images.txt").splitlines()
-        # two lines an image, of which the second may be empty
-        return -(-sum(not line.startswith(b"#") for line in lines) // 2)
-    except (OSError, struct.error):
+        return sum(not line.startswith(b"#") for line in lines) // 2
+    except OSError:
         return 0
 
 
-def model_arrays(model: Path, may_be_empty: Collection[str] = ()) -> dict[str, NDArray[Any]]:
-    """Read the arrays of `lenses.undistorted_model`, with images sorted by name and points by id.
-
-    Parameters
-    ----------
-    model : the folder of a COLMAP model.
-    may_be_empty : parts that may be empty, such as points3D of test views.
-    """
-    listed, images, points = model_parts(model, may_be_empty)
+def _model_arrays(model: Path, may_be_empty: Collection[str]) -> dict[str, NDArray[Any]]:
+    listed, images, points = _model_parts(model, may_be_empty)
     cameras = {camera.number: camera for camera in listed}
     _check_ids(model, "cameras", np.array([camera.number for camera in listed], np.int64))
     images = sorted(images, key=lambda image: image.name)
@@ -145,12 +135,15 @@ def model_arrays(model: Path, may_be_empty: Collection[str] = ()) -> dict[str, N
     _check_ids(model, "images", ids)
     _check_ids(model, "points3D", points.ids)
     order = np.argsort(points.ids)
+    # fx, fy, cx, cy; 0 for models with distortion, whose photos get another camera
+    pinholes = np.array([
+        (camera.parameters[0], *camera.parameters[-3:]) if camera.model in PINHOLES else 4 * (0,)
+        for camera in used], np.float64).reshape(-1, 4)
     arrays = {
         "names": np.array([image.name for image in images], dtype=np.str_),
         "rotations": _rotations(np.array([image.quaternion for image in images]).reshape(-1, 4)),
         "translations": np.array([image.translation for image in images]).reshape(-1, 3),
-        "focals": _pairs(_focal(camera) for camera in used),
-        "centres": _pairs(_centre(camera) for camera in used),
+        "focals": pinholes[:, :2], "centres": pinholes[:, 2:],
         "sizes": np.array([(min(camera.width, LONGEST_SIDE), min(camera.height, LONGEST_SIDE))
                            for camera in used], np.int64).reshape(-1, 2),
         "points": points.positions[order],
@@ -162,28 +155,27 @@ def model_arrays(model: Path, may_be_empty: Collection[str] = ()) -> dict[str, N
         for camera in used])
 
 
-def model_parts(model: Path, may_be_empty: Collection[str] = ()
-                ) -> tuple[list[Camera], list[Image], Points]:
-    """Read the cameras, the images and the points of a COLMAP model."""
+def _model_parts(model: Path, may_be_empty: Collection[str] = ()
+                 ) -> tuple[list[Camera], list[Image], Points]:
     kind = "bin" if any((model / f"{part}.bin").exists() for part in PARTS) else "txt"
-    cameras, images, points = (
-        _read_part(model / f"{part}.{kind}", part, part in may_be_empty) for part in PARTS)
+    content = []
+    for part in PARTS:
+        path = model / f"{part}.{kind}"
+        try:
+            content.append(read_part(path, part))
+        except FileNotFoundError:
+            raise InputError(f"{path}: missing from the COLMAP model; copy the whole model"
+                             ) from None
+        except ValueError as error:
+            raise InputError(f"{path}: {error}; copy the model again") from None
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions"
+                             ) from None
+        count = len(content[-1].ids if part == "points3D" else content[-1])
+        if not (count or part in may_be_empty):
+            raise InputError(f"{path}: holds no {part}; reconstruct the scene again")
+    cameras, images, points = content
     return cameras, images, points
-
-
-def _read_part(path: Path, part: str, may_be_empty: bool) -> Any:
-    if not path.exists():
-        raise InputError(f"{path}: missing from the COLMAP model; copy the whole model")
-    try:
-        content = read_part(path, part)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; copy the model again") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions"
-                         ) from None
-    if not (len(content.ids if part == "points3D" else content) or may_be_empty):
-        raise InputError(f"{path}: holds no {part}; reconstruct the scene again")
-    return content
 
 
 def _check_ids(model: Path, part: str, ids: NDArray[np.int64]) -> None:
@@ -191,20 +183,6 @@ def _check_ids(model: Path, part: str, ids: NDArray[np.int64]) -> None:
     if len(values) < len(ids):
         raise InputError(f"{model}: {part} holds id {values[np.argmax(counts)]} twice; "
                          "copy the model again, or reconstruct the scene")
-
-
-def _pairs(values: Iterable[tuple[float, ...]]) -> NDArray[np.float64]:
-    return np.array(list(values), np.float64).reshape(-1, 2)
-
-
-def _focal(camera: Camera) -> tuple[float, ...]:
-    """(x, y) in pixels; 0 for models with distortion, whose photos get another camera."""
-    return {"PINHOLE": camera.parameters[:2],
-            "SIMPLE_PINHOLE": camera.parameters[:1] * 2}.get(camera.model, (0, 0))
-
-
-def _centre(camera: Camera) -> tuple[float, ...]:
-    return camera.parameters[-2:] if camera.model in PINHOLES else (0, 0)
 
 
 def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -240,14 +218,14 @@ def _observations(ids: NDArray[np.int64], points: Points, order: NDArray[np.int6
 
 
 def read_reconstruction(model: Path) -> pycolmap.Reconstruction:
-    """Read a model that `model_arrays` has passed.
+    """Read a model that `read_model` has passed.
 
     pycolmap cuts names in a text at their first blank. It does not read tracks whose images lack
     their observations, which then become the projections of the points.
     """
     import pycolmap
 
-    cameras, images, points = model_parts(model, ("points3D",))
+    cameras, images, points = _model_parts(model, ("points3D",))
     try:
         reconstruction = pycolmap.Reconstruction(model)
     except IndexError:

@@ -1,15 +1,14 @@
 """The files of a COLMAP sparse model, binary and text.
 
-Only what training needs is read: cameras, poses, points and their tracks. The observations of
-images are skipped, and so are rigs and frames, since images hold their own poses. Records of the
-binary form have no fixed size, so they are read one by one, and a count that is too large for the
-file is detected. Format: https://colmap.github.io/format.html.
+Only what training needs is read: cameras, poses, points and their tracks. pycolmap would read all
+observations, keep a Python object for each point, and end the process on some damaged files.
+Format: https://colmap.github.io/format.html.
 """
 
 import codecs
-import re
+import mmap
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular, read_regular
@@ -38,6 +36,7 @@ IMAGE = struct.Struct("<I7dI")  # id, quaternion (wxyz), translation, camera's i
 OBSERVATION = np.dtype([("pixel", "<f8", 2), ("point", "<u8")])  # of a point in an image
 POINT = np.dtype([("id", "<u8"), ("position", "<f8", 3), ("colour", "u1", 3), ("error", "<f8"),
                   ("length", "<u8")])  # then the track
+TRACK_LENGTH = struct.Struct("<Q")
 TRACK = np.dtype([("image", "<u4"), ("observation", "<u4")])
 
 
@@ -96,64 +95,61 @@ def _read_binary(path: Path, part: str) -> Any:
         size = file.seek(0, 2)
         if size < 8:
             raise ValueError(f"empty or cut short ({size} bytes)")
-        data: NDArray[np.uint8] = np.memmap(file, np.uint8, "r")
-    count = struct.unpack_from("<Q", data.data)[0]
+        data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    count = struct.unpack_from("<Q", data)[0]
     try:
         return BINARY[part](data, count)
     except (struct.error, IndexError, OverflowError):
         raise ValueError(f"cut short ({size} bytes are too few for its {count} {part})") from None
 
 
-def _binary_cameras(data: NDArray[np.uint8], count: int) -> list[Camera]:
+def _binary_cameras(data: mmap.mmap, count: int) -> list[Camera]:
     cameras: list[Camera] = []
     position, models = 8, list(CAMERA_MODELS.items())
     for _ in range(count):
-        number, model, width, height = CAMERA.unpack_from(data.data, position)
+        number, model, width, height = CAMERA.unpack_from(data, position)
         if not 0 <= model < len(models):
             raise ValueError(f"camera {number} has a model that COLMAP does not have ({model})")
         name, parameters = models[model]
         position += CAMERA.size
-        cameras.append(Camera(number, name, width, height, struct.unpack_from(
-            f"<{parameters}d", data.data, position)))
+        cameras.append(Camera(number, name, width, height,
+                              struct.unpack_from(f"<{parameters}d", data, position)))
         position += 8 * parameters
     return cameras
 
 
-def _binary_images(data: NDArray[np.uint8], count: int) -> list[Image]:
+def _binary_images(data: mmap.mmap, count: int) -> list[Image]:
     images, position = [], 8
     for _ in range(count):
-        number, *pose, camera = IMAGE.unpack_from(data.data, position)
+        number, *pose, camera = IMAGE.unpack_from(data, position)
         begin = position + IMAGE.size
-        end, length = -1, 256
-        while end < 0:  # the zero byte that ends the name
-            end = bytes(data[begin:begin + length]).find(b"\0")
-            if end < 0 and begin + length >= len(data):
-                raise IndexError
-            length *= 16
+        end = data.find(b"\0", begin)
+        if end < 0:
+            raise IndexError
         try:
-            name = bytes(data[begin:begin + end]).decode()
+            name = data[begin:end].decode()
         except UnicodeDecodeError:
             raise ValueError(f"the name of image {number} is not UTF-8") from None
-        observed, = struct.unpack_from("<Q", data.data, begin + end + 1)
-        position = begin + end + 9 + OBSERVATION.itemsize * observed
+        observed, = struct.unpack_from("<Q", data, end + 1)
+        position = end + 9 + OBSERVATION.itemsize * observed
         images.append(Image(number, pose[:4], pose[4:], camera, name))
     if position > len(data):
         raise IndexError
     return images
 
 
-def _binary_points(data: NDArray[np.uint8], count: int) -> Points:
-    begins, position = [], 8
-    track, before, view = struct.Struct("<Q"), POINT.itemsize - 8, data.data
+def _binary_points(data: mmap.mmap, count: int) -> Points:
+    begins, position, before = [], 8, POINT.itemsize - 8
     for _ in range(count):
         begins.append(position)
-        position += POINT.itemsize + TRACK.itemsize * track.unpack_from(view, position + before)[0]
+        position += POINT.itemsize + TRACK.itemsize * TRACK_LENGTH.unpack_from(
+            data, position + before)[0]
     if position > len(data):
         raise IndexError
-    places = np.array(begins, np.int64)
-    points = _records(data, places, POINT)
+    content, places = np.frombuffer(data, np.uint8), np.array(begins, np.int64)
+    points = _records(content, places, POINT)
     lengths = points["length"].astype(np.int64)
-    tracks = _records(data, np.repeat(places + POINT.itemsize, lengths)
+    tracks = _records(content, np.repeat(places + POINT.itemsize, lengths)
                       + TRACK.itemsize * places_within(lengths), TRACK)
     return Points(points["id"].astype(np.int64), points["position"], points["colour"], lengths,
                   tracks["image"].astype(np.int64))
@@ -166,33 +162,34 @@ def _records(data: NDArray[np.uint8], places: NDArray[np.int64], dtype: np.dtype
     return rows.reshape(len(places))
 
 
-BINARY: dict[str, Callable[[NDArray[np.uint8], int], Any]] = {
+BINARY: dict[str, Callable[[mmap.mmap, int], Any]] = {
     "cameras": _binary_cameras, "images": _binary_images, "points3D": _binary_points}
 
 
 def _read_text(path: Path, part: str) -> Any:
     data = read_regular(path).removeprefix(codecs.BOM_UTF8)
-    # COLMAP writes a line end after the last line, too
-    is_cut = b"# Number of" in data and not data.endswith(b"\n")
-    rows: list[Any] = []
-    number, lines = 1, enumerate(data.splitlines(), 1)
-    try:
-        if b"\0" in data:
-            raise ValueError("not a text file")
-        for number, line in lines:
-            if line.strip() and not line.lstrip().startswith(b"#"):
-                rows.append(TEXT[part](line))
-                if part == "images":
-                    number, line = next(lines, (number + 1, b""))
-                    if not is_cut:
-                        _check_observations(line, f"{path}: line {number}", rows[-1])
-        content = rows if part != "points3D" else _points(rows)
-    except (ValueError, IndexError, OverflowError) as error:
-        raise ValueError(f"cut short in line {number}" if is_cut else
-                         f"line {number} is damaged ({reason(error)})") from None
-    if is_cut:
+    if b"\0" in data:
+        raise ValueError("not a text file")
+    if b"# Number of" in data and not data.endswith(b"\n"):  # COLMAP ends the last line, too
         raise ValueError("cut short: its last line has no line end (add one if the file is whole)")
-    return content
+    rows: list[Any] = []
+    lines = enumerate(data.splitlines(), 1)
+    for number, line in lines:
+        if not line.strip() or line.lstrip().startswith(b"#"):
+            continue
+        try:
+            rows.append(TEXT[part](line))
+            if part == "images":
+                _check_observations(next(lines, (0, b""))[1].split())
+        except (ValueError, IndexError, OverflowError) as error:
+            raise ValueError(f"line {number} is damaged ({reason(error)})") from None
+    if part != "points3D":
+        return rows
+    ids, positions, colours, tracks = zip(*rows) if rows else ((), (), (), ())
+    return Points(np.array(ids, np.int64), np.array(positions, np.float64).reshape(-1, 3),
+                  np.array(colours, np.uint8).reshape(-1, 3),
+                  np.array(list(map(len, tracks)), np.int64),
+                  np.array([image for track in tracks for image in track], np.int64))
 
 
 def _text_camera(line: bytes) -> Camera:
@@ -213,22 +210,19 @@ def _text_image(line: bytes) -> Image:
     return Image(_id(number), pose[:4], pose[4:], _id(camera), name.decode())
 
 
+def _check_observations(fields: Sequence[bytes]) -> None:
+    """ValueError unless these are rows of x, y and the id of a point: programs leave out the line
+    of an image that has no observations."""
+    if len(fields) % 3 or fields and not fields[-1].removeprefix(b"-").isdigit():
+        raise ValueError("the next line is not its observations: each image has two lines, of "
+                         "which the second may be empty")
+
+
 def _id(text: bytes) -> int:
     number = int(text)
     if not 0 <= number < 1 << 32:
         raise ValueError("an id is not a number of 32 bits")
     return number
-
-
-def _check_observations(line: bytes, place: str, image: Image) -> None:
-    """InputError if a line is not the observations of an image, rows of x, y and the id of a point:
-    programs leave the line out that have no observations."""
-    fields = line.split(maxsplit=10)
-    whole = len(fields) % 3 == 0 or len(fields) > 10
-    if not whole or fields and not re.fullmatch(rb"-?\d+", line.rsplit(maxsplit=1)[-1]):
-        raise InputError(f"{place} is not the observations of image {image.name[:80]}: each image "
-                         "has two lines, of which the second may be empty; add the empty lines, or "
-                         "export the model again")
 
 
 def _text_point(line: bytes) -> tuple[int, list[float], list[int], list[int]]:
@@ -240,14 +234,6 @@ def _text_point(line: bytes) -> tuple[int, list[float], list[int], list[int]]:
     if not all(0 <= each <= 255 for each in colour):
         raise ValueError("a colour is not within 0 to 255")
     return int(fields[0]), list(map(float, fields[1:4])), colour, list(map(int, fields[8::2]))
-
-
-def _points(rows: Sequence[tuple[int, list[float], list[int], list[int]]]) -> Points:
-    ids, positions, colours, tracks = zip(*rows) if rows else ((), (), (), ())
-    return Points(np.array(ids, np.int64), np.array(positions, np.float64).reshape(-1, 3),
-                  np.array(colours, np.uint8).reshape(-1, 3),
-                  np.array(list(map(len, tracks)), np.int64),
-                  np.array([image for track in tracks for image in track], np.int64))
 
 
 TEXT: dict[str, Callable[[bytes], Any]] = {
@@ -284,38 +270,30 @@ def write_colmap(folder: str | Path, views: Sequence[View], points: NDArray[np.f
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    camera_ids: dict[tuple[float, ...], int] = {}
-    for view in views:
-        camera_ids.setdefault(_intrinsics(view), len(camera_ids) + 1)
+    intrinsics = [(view.camera.width, view.camera.height, *view.camera.focal, *view.camera.centre)
+                  for view in views]
+    camera_ids = {each: number for number, each in enumerate(dict.fromkeys(intrinsics), 1)}
     by_view = [np.flatnonzero(tracks.views == i) for i in range(len(views))]
+    cameras = (CAMERA.pack(number, list(CAMERA_MODELS).index("PINHOLE"), width, height)
+               + struct.pack("<4d", *parameters)
+               for (width, height, *parameters), number in camera_ids.items())
     for name, count, chunks in (
-            ("cameras", len(camera_ids), _cameras(camera_ids)),
-            ("images", len(views), _images(views, camera_ids, tracks, by_view)),
+            ("cameras", len(camera_ids), cameras),
+            ("images", len(views), _images(views, [camera_ids[each] for each in intrinsics],
+                                           tracks, by_view)),
             ("points3D", len(points), _written_points(views, points, colours, tracks, by_view))):
         with replacing(folder / f"{name}.bin") as file:
             file.write(struct.pack("<Q", count))
             file.writelines(chunks)
 
 
-def _intrinsics(view: View) -> tuple[float, ...]:
-    camera = view.camera
-    return camera.width, camera.height, *camera.focal, *camera.centre
-
-
-def _cameras(camera_ids: Mapping[tuple[float, ...], int]) -> Iterator[bytes]:
-    model = list(CAMERA_MODELS).index("PINHOLE")
-    for (width, height, *parameters), number in camera_ids.items():
-        yield CAMERA.pack(number, model, width, height) + struct.pack("<4d", *parameters)
-
-
-def _images(views: Sequence[View], camera_ids: Mapping[tuple[float, ...], int], tracks: Tracks,
+def _images(views: Sequence[View], cameras: Sequence[int], tracks: Tracks,
             by_view: Sequence[NDArray[Any]]) -> Iterator[bytes]:
-    for number, (view, rows) in enumerate(zip(views, by_view), 1):
+    for number, (view, camera, rows) in enumerate(zip(views, cameras, by_view), 1):
         x, y, z, w = Rotation.from_matrix(view.camera.rotation).as_quat()
         seen = np.empty(len(rows), OBSERVATION)
         seen["pixel"], seen["point"] = tracks.pixels[rows], tracks.points[rows] + 1
-        yield (IMAGE.pack(number, w, x, y, z, *view.camera.translation,
-                          camera_ids[_intrinsics(view)])
+        yield (IMAGE.pack(number, w, x, y, z, *view.camera.translation, camera)
                + view.name.encode() + b"\0" + struct.pack("<Q", len(rows)) + seen.tobytes())
 
 
