@@ -20,7 +20,7 @@ from clsplat.scene import Scene
 from clsplat.schedule import laid_over
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.training.part import Decision, Part
-from clsplat.training.photos import DEVICE_SHARE, MEMORY_BYTES, reading_bytes
+from clsplat.training.photos import DEVICE_SHARE, reading_bytes
 from clsplat.training.progress import SilentProgress
 from clsplat.training.start.initialise import initial_gaussians, start_seconds
 from clsplat.training.start.prepare import prepare
@@ -118,7 +118,7 @@ class Planned:
         size = 3 * sum(v.camera.width * v.camera.height for v in views)
         value = "resident" if memory.resident else "streamed"
         allowed = DEVICE_SHARE * self.device.handle.global_mem_size
-        waits = (levels > 1 or not memory.resident) and size > MEMORY_BYTES
+        waits = levels > 1 or not memory.resident
         file = f", and a file beside the run up to {size / MIB:,.0f}" if waits else ""
         return Decision(value, f"{value}: {size / MIB:,.0f} MiB at full size, "
                         f"{allowed / MIB:,.0f} may stay on the device; reading takes up to "

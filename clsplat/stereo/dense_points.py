@@ -12,9 +12,8 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,39 +50,28 @@ Item = TypeVar("Item")
 DepthMap = tuple[NDArray[np.float32], NDArray[np.bool_]]  # see `_depth_maps`
 
 
-@dataclass(frozen=True, eq=False)
-class Points:
-    """Points with colours.
+class Points(NamedTuple):
+    """Points with colours."""
 
-    Attributes
-    ----------
-    positions : float64[N, 3], world.
-    colours : float64[N, 3], 0 to 255.
-    sizes : float64[N], world units: of a pixel there, in the photo that shows it.
-    merged : int[N], how many points each is the mean of.
-    """
-
-    positions: Floats
-    colours: Floats
-    sizes: Floats
-    merged: NDArray[np.integer]
+    positions: Floats  # [N, 3], world
+    colours: Floats  # [N, 3], 0 to 255
+    sizes: Floats  # [N], world units: of a pixel there, in the photo that shows it
+    merged: NDArray[np.integer]  # [N], how many points each is the mean of
 
     @classmethod
-    def joined(cls, parts: Sequence[Points]) -> Points:
+    def joined(cls, some: Sequence[Points]) -> Points:
         """The points of several, in their order."""
-        return cls(*(np.concatenate([getattr(part, name) for part in parts])
-                     for name in ("positions", "colours", "sizes", "merged")))
+        return cls._make(map(np.concatenate, zip(*some)))
+
+    def chosen(self, which: NDArray[np.bool_]) -> Points:
+        """Some of the points."""
+        return Points._make(values[which] for values in self)
 
 
 def sweep_seconds(device: Device, scene: Scene, views: Sequence[View],
                   photos_of: Callable[[Sequence[View]], Sequence[NDArray[np.uint8]]]) -> float:
-    """About how long the sweeps of all views take, by that of one of them.
-
-    Parameters
-    ----------
-    device, scene, views : as for `dense_points`.
-    photos_of : reads the photos of views.
-    """
+    """About how long the sweeps of all views take, by that of one of them; `photos_of` reads the
+    photos of views."""
     number, others = next(((number, sources) for number, sources
                            in enumerate(stereo_views(scene, views)) if sources), (0, []))
     chosen = [views[each] for each in (number, *others)]
@@ -135,8 +123,8 @@ def dense_points(device: Device, scene: Scene, views: Sequence[View],
     def points_of(*shown: tuple[View, NDArray[np.uint8], NDArray[np.float32]]) -> Points:
         """The points of a few photos, merged."""
         part = Points.joined([_points_of(*each) for each in shown])
-        return _in_cells(_chosen(part, ((part.positions > low - around)
-                                        & (part.positions < high + around)).all(axis=1)), 1.0)
+        inside = (part.positions > low - around) & (part.positions < high + around)
+        return _in_cells(part.chosen(inside.all(axis=1)), 1.0)
 
     threads = os.cpu_count() or 1
     parts = called_ahead(points_of, _by(PHOTOS_TOGETHER, zip(views, photos, _confirmed(
@@ -172,12 +160,7 @@ def _depth_maps(device: Device, sources: Sequence[Sequence[int]], views: Sequenc
                 progress: Callable[[int], object] = lambda done: None) -> list[DepthMap]:
     """The inverse depths of all pixels of each view [h, w], 0 where there is none, and bool[h, w],
     which of them look alike in two sources; the others may still confirm those of another view.
-
-    Parameters
-    ----------
-    sources : for each view those that it is compared with; none: it has no depths.
-    between : for each view the depths of the first and the last plane; None: it has no depths.
-    """
+    A view without sources or `between`, the depths of its first and last plane, has none."""
     maps = [(np.zeros(photo.shape[1:], np.float32), np.zeros(photo.shape[1:], np.bool_))
             for photo in photos]
     done = 0
@@ -258,15 +241,8 @@ def _sparse(scene: Scene, views: Sequence[View], points: Floats, point: NDArray[
 
 
 def merge(points: Points, most: int) -> Points:
-    """Merge the points of each cell to their mean.
-
-    Cells are at least a pixel large.
-
-    Parameters
-    ----------
-    points : at least one.
-    most : there are at most so many cells, unless cells of LARGEST_CELL pixels are more.
-    """
+    """Merge the points of each cell to their mean. Cells are at least a pixel large, and at most
+    `most`, unless cells of LARGEST_CELL pixels are more."""
     merged = _in_cells(points, 1.0)
     tried = _kept(merged)
     fitting = None
@@ -291,12 +267,7 @@ def merge(points: Points, most: int) -> Points:
 
 def _kept(points: Points) -> Points:
     """Without those that few were merged to, which lie beside the surfaces where most are."""
-    return _chosen(points, points.merged >= LEAST_SHARE * points.merged.mean())
-
-
-def _chosen(points: Points, which: NDArray[np.bool_]) -> Points:
-    return Points(points.positions[which], points.colours[which], points.sizes[which],
-                  points.merged[which])
+    return points.chosen(points.merged >= LEAST_SHARE * points.merged.mean())
 
 
 def _in_cells(points: Points, pixels: float) -> Points:

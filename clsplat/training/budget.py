@@ -22,9 +22,8 @@ from clsplat.errors import InputError
 from clsplat.evaluation.views import METRICS, Metric, evaluate_views
 from clsplat.options import seconds_of
 from clsplat.schedule import Plan
-from clsplat.training.clock import Clock
-from clsplat.training.evaluator import EVALUATIONS
 from clsplat.training.model import checkpoint_bytes
+from clsplat.training.recorder import EVALUATIONS, Clock
 from clsplat.training.session import Session
 
 ESTIMATE_SHARE = 0.005  # of the budget between two estimates

@@ -1,7 +1,6 @@
 """Capacities of the buffers of frames, chosen from the largest frames that were seen so far."""
 
 import math
-from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +14,8 @@ MARGIN = 1.4  # of room over the most that was seen, as views differ
 
 
 class FrameCapacity:
-    """Chooses a Room for each image size.
-
-    Sizes have the same room, so that their frames use the same memory; but for those that need
-    bands. The windows of a block have as many sizes as it has photos.
-
-    Parameters
-    ----------
-    renderer : of the frames.
-    """
+    """Chooses a Room for each image size. Sizes have the same room, so that their frames use the
+    same memory; but for those that need bands."""
 
     def __init__(self, renderer: Renderer) -> None:
         self.renderer = renderer
@@ -32,12 +24,7 @@ class FrameCapacity:
         self._most_tiles: dict[tuple[int, int], NDArray[np.int64]] = {}  # of each tile, any view
 
     def reset(self, most_visible: float = 0, most_pairs: float = 0) -> None:
-        """Choose anew from now on.
-
-        Parameters
-        ----------
-        most_visible, most_pairs : what frames of any size are expected to need.
-        """
+        """Choose anew from now on, by what frames of any size are expected to need."""
         self._most_tiles.clear()
         self._most_pairs.clear()
         self._most_visible = math.ceil(most_visible)
@@ -50,24 +37,18 @@ class FrameCapacity:
         return (width, height) in self._most_tiles or 0 < self._needed(width, height) <= limit
 
     def room(self, count: int, width: int, height: int, with_depth: bool) -> Room:
-        """The room of frames of a size that is known.
-
-        Parameters
-        ----------
-        count : gaussians of the model.
-        width, height : of the image, pixels.
-        with_depth : whether frames have depth.
-        """
+        """The room of frames of a size that is known, for a model of `count` gaussians."""
         limit = self.renderer.most_pairs(width, height, with_depth)
-        visible = visible_room(self._most_visible, count)
+        visible = min(count, max(1, math.ceil(MARGIN * self._most_visible)))
         if self._needed(width, height) > limit:
             most = self._most_tiles[width, height]
             bands = choose_bands(most, limit)
             pairs = max(int(most[band.start:band.stop].sum()) for band in bands if band)
-            return Room(visible, pairs_room(pairs, len(most), limit), bands)
-        pairs = shared_pairs((self._expected_pairs, *self._most_pairs.values()), limit)
+            return Room(visible, _pairs_room(pairs, len(most), limit), bands)
+        pairs = max(most for most in (self._expected_pairs, *self._most_pairs.values())
+                    if most <= limit)  # sizes that need no bands have room for as many
         tiles = max(map(len, self._most_tiles.values()), default=0)
-        return Room(visible, pairs_room(pairs, tiles, limit))
+        return Room(visible, _pairs_room(pairs, tiles, limit))
 
     def grow(self, rows: Rows, camera: Array, width: int, height: int) -> None:
         """Make room for a frame, which is measured, and all that were measured before."""
@@ -86,17 +67,6 @@ class FrameCapacity:
             if math.prod(known) >= width * height)]))
 
 
-def visible_room(most: int, count: int) -> int:
-    """Room for gaussians that a view sees, of `count`, where so many were seen at most."""
-    return min(count, max(1, math.ceil(MARGIN * most)))
-
-
-def shared_pairs(most: Iterable[int], limit: int) -> int:
-    """The most pairs of those sizes that need no bands, given the most of each: all have room for
-    so many."""
-    return max(pairs for pairs in most if pairs <= limit)
-
-
-def pairs_room(most: int, tiles: int, limit: int) -> int:
+def _pairs_room(most: int, tiles: int, limit: int) -> int:
     """Room for pairs, at most `limit`, where an image of so many tiles had so many at most."""
     return max(most, min(math.ceil(MARGIN * most) + tiles, limit))

@@ -1,4 +1,4 @@
-"""Checkpoints of a training: rows, moments, statistics, exposures, schedule and clocks."""
+"""Checkpoints of a training: rows, moments, statistics, parts, schedule and clocks."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -14,8 +14,7 @@ from clsplat.io.runs.run import CHECKPOINT, OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
 from clsplat.options import checked
 from clsplat.training.budget import Deadline
-from clsplat.training.clock import Clock
-from clsplat.training.recorder import broken
+from clsplat.training.recorder import Clock, broken
 from clsplat.training.session import Session
 
 Arrays = dict[str, NDArray[Any]]
@@ -73,7 +72,7 @@ class Checkpoint:
         """Remove the checkpoint of a finished run that nobody resumes."""
         (self.run.path / CHECKPOINT).unlink(missing_ok=True)
 
-    def _check(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def _check(self, arrays: Arrays) -> None:
         bad = [name for name, values in arrays.items() if not _is_finite(values)]
         if bad:
             raise broken(self.run,
@@ -108,35 +107,26 @@ class Checkpoint:
             self.deadline.load(state["budget"])
 
 
-def check_state(state: dict[str, Any]) -> None:
-    """Check the state of a checkpoint.
-
-    Raises
-    ------
-    KeyError : names a missing key.
-    ValueError : names a value that `Checkpoint.save` cannot have written.
-    """
-    for key, (kinds, least) in STATE.items():
-        value = state[key]
-        if not isinstance(value, kinds) or least is not None and value is not None and (
-                isinstance(value, bool) or not least <= value < 2**63):
-            raise ValueError(f"{key} ({str(value)[:20]!r})")
-
-
 def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays,
                     state: dict[str, Any]) -> Gaussians:
     """The gaussians in a run's checkpoint, in the units of training.
-
-    Raises InputError where the checkpoint or the options lack what is needed.
 
     Parameters
     ----------
     run : the folder.
     record : option -> value, as the run's record has it.
     arrays, state : contents of the checkpoint.
+
+    Raises
+    ------
+    InputError : the checkpoint or the options lack what is needed, or have what was not saved.
     """
     try:
-        check_state(state)
+        for key, (kinds, least) in STATE.items():
+            value = state[key]
+            if not isinstance(value, kinds) or least is not None and (
+                    isinstance(value, bool) or not least <= value < 2**63):
+                raise ValueError(f"{key} ({str(value)[:20]!r})")
         degree = (record.get("decisions") or {}).get("sh_degree", record["sh_degree"])
         return gaussians_of(arrays, checked(str(run.path / OPTIONS), "sh_degree", degree))
     except (KeyError, ValueError) as error:
@@ -145,16 +135,8 @@ def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays,
 
 
 def latest_model(run: RunFolder) -> Gaussians:
-    """The finished model of a run, or else that of its last checkpoint, in original units.
-
-    Parameters
-    ----------
-    run : the folder.
-
-    Raises
-    ------
-    InputError : there is no checkpoint, or it or options.json is damaged.
-    """
+    """The finished model of a run, or else that of its last checkpoint, in original units;
+    InputError if there is no checkpoint, or it or options.json is damaged."""
     if run.has_model:
         return run.load_model()
     record = run.read_options()

@@ -50,15 +50,8 @@ def _comments(run: RunFolder, session: Session) -> tuple[str, ...]:
 
 def draw_report(run: RunFolder, session: Session, scene: Scene,
                 per_view: list[dict[str, Any]] | None) -> None:
-    """Write the report of a run; failure is only a warning, as the model is complete.
-
-    Parameters
-    ----------
-    run : the folder.
-    session : the finished training.
-    scene : its scene, at the size of the photos.
-    per_view : scores of the held-out views, if known.
-    """
+    """Write the report of a finished training, whose `scene` is at the size of the photos, with the
+    scores of the held-out views, if known. Failure is only a warning: the model is complete."""
     try:
         write_report(run, pictures=pictures_of(
             session.renderer, session.model.current_rows(), session.options.sh_degree,

@@ -10,15 +10,10 @@ SIGNALS = ("SIGINT", "SIGTERM", "SIGBREAK")  # the last is Windows's, for Ctrl-B
 
 
 class Interrupts:
-    """A signal handler that counts signals, and raises KeyboardInterrupt unless told to wait.
+    """A signal handler that counts signals, and raises KeyboardInterrupt unless it has to wait.
 
     The count remains where C code replaces or swallows the exception, so the end of a command
-    checks `number`.
-
-    Attributes
-    ----------
-    count : signals so far.
-    number : number of the first signal, or 0.
+    checks `number`, that of the first signal, or 0.
     """
 
     def __init__(self) -> None:

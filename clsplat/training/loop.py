@@ -30,15 +30,13 @@ from clsplat.scene import Scene
 from clsplat.schedule import Plan
 from clsplat.training.budget import Deadline, evaluation_seconds
 from clsplat.training.checkpoint import Checkpoint, Saved, saved_gaussians
-from clsplat.training.clock import Clock
-from clsplat.training.evaluator import Evaluator
 from clsplat.training.finish import draw_report, save_model, save_snapshot
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.part import Part, TrainingSample
 from clsplat.training.photos import THREADS, epoch_order, size_note
 from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
-from clsplat.training.recorder import LOG_EVERY, Callback, Recorder, broken
+from clsplat.training.recorder import LOG_EVERY, Callback, Clock, Evaluator, Recorder, broken
 from clsplat.training.session import Session
 from clsplat.training.start.prepare import is_stage
 from clsplat.training.start.scene_checks import find_warnings
@@ -57,8 +55,7 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
 
     Parameters
     ----------
-    scene : as it was read.
-    options : as the user gave them.
+    scene, options : as they were given.
     device : where it trains.
     run : an empty folder.
     progress : receives steps, messages and phases; None: only warnings are shown.
@@ -137,13 +134,8 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
 
 
 class Training:
-    """Runs a session to its end.
-
-    Parameters
-    ----------
-    scene, options, device, run, progress, callbacks, watcher, on_save, parts : as for `train`.
-    gaussians : those of a resumed run; None: the initial ones.
-    level : that of a resumed run; 0: the first one.
+    """Runs a session to its end; arguments as for `train`, with the gaussians and the level of a
+    resumed run.
 
     Attributes
     ----------
@@ -187,12 +179,8 @@ class Training:
         progress.phase("compiling kernels")  # of the first step
 
     def record(self, scene: Scene, options: TrainOptions) -> None:
-        """Write the options and the first records of a new run, and show its warnings.
-
-        Parameters
-        ----------
-        scene, options : as they were given.
-        """
+        """Write the options and the first records of a new run, and show its warnings; scene and
+        options are those that were given."""
         session = self.session
         warnings = find_warnings(session.scene, session.prepared.thumbnails,
                                  session.model.rows["opacity_logits"].download())

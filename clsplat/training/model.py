@@ -26,8 +26,6 @@ class Model:
 
     Parameters
     ----------
-    device : where it trains.
-    gaussians : the initial ones.
     engine : where moments are kept, "device" or "numpy"; "auto": on the device if they fit now.
     dense : whether Adam updates all rows or only those that a view saw.
 
@@ -43,7 +41,8 @@ class Model:
                  dense: bool = False) -> None:
         self.device, self.sh_degree = device, gaussians.sh_degree
         self.frozen: Array | None = None
-        self.adopt(gaussians)
+        self.count, self.layout = gaussians.count, object()
+        self._arrays = {name: device.upload(values) for name, values in gaussians.rows.items()}
         if engine == "auto":
             needed = model_bytes(device, self.sh_degree, self.count)
             fits = needed < DEVICE_SHARE * device.handle.global_mem_size
@@ -56,13 +55,6 @@ class Model:
         """The device arrays of the named fields."""
         shapes = {field.name: field.row_shape(sh_degree) for field in FIELDS}
         return {name: ArraySpec((count, *shapes[name])) for name in names}
-
-    def adopt(self, gaussians: Gaussians) -> None:
-        """Take rows from the host; moments stay as they are."""
-        self.count = gaussians.count
-        self._arrays = {name: self.device.upload(values)
-                        for name, values in gaussians.rows.items()}
-        self.layout = object()
 
     @property
     def rows(self) -> dict[str, Array]:
@@ -108,13 +100,8 @@ class Model:
             self._arrays[name].write(values, first)
 
     def limit_opacity(self, logit: float, which: NDArray[np.bool_] | None = None) -> None:
-        """Limit opacity logits to `logit` and reset the moments of opacities (Kerbl et al. 2023).
-
-        Parameters
-        ----------
-        logit : the limit.
-        which : [N]; the gaussians to change, None for all.
-        """
+        """Limit opacity logits, of the gaussians `which` [N] alone, and reset the moments of all
+        opacities (Kerbl et al. 2023)."""
         self.catch_up()
         logits = self.rows["opacity_logits"]
         values = logits.download()

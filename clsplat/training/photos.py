@@ -1,4 +1,4 @@
-"""Training photos at each level: on the device while they fit, else on the host or in a file.
+"""Training photos at each level: on the device while they fit, else in a file.
 
 A photo is decoded once a level, and not again at each of its uses: a photo of 50 megapixels takes
 about a second to decode, and a twentieth of that to read from such a file.
@@ -28,9 +28,7 @@ from clsplat.scene import View
 from clsplat.training.parts.outlier_masks import Cells, resampled, spread
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
-MEMORY_BYTES = 128 << 20  # of the photos that a store keeps in memory
-DISK_SHARE = 0.25  # of the free space of the disk, which its file may take
-SMALL_SIDE = 256  # pixels of thumbnails; brightness and colours need no more
+DISK_SHARE = 0.25  # of the free space of the disk that decoded photos may take
 HOST_BYTES = 640 << 20  # of the photos that are decoded at the same time
 BAND_COPIES = 8  # of a band: as the library has it, as 8-bit samples and as floats
 LENS_BYTES = 14  # a pixel: the stored and the undistorted photo, and the map between them
@@ -38,8 +36,8 @@ MOST_THREADS = 8  # that read photos
 HALF_THE_CORES = min(MOST_THREADS, (os.cpu_count() or 2) // 2)
 THREADS = max(2, HALF_THE_CORES)  # while nothing else runs
 THREADS_BESIDE = max(1, HALF_THE_CORES)  # beside a training
+SMALL_SIDE = 256  # pixels of thumbnails; brightness and colours need no more
 Photo = NDArray[np.uint8]
-Kept = Photo | tuple[int, ...] | None  # the photo, its shape in the file, or nothing
 
 
 def epoch_order(seed: int, epoch: int, visits: NDArray[np.floating]) -> NDArray[np.int64]:
@@ -79,58 +77,41 @@ def decode(view: View) -> Photo:
 def decoded(views: Iterable[View]) -> Iterator[Photo]:
     """Yield `decode` of each view, from a few threads; InputError at a damaged photo."""
     views = list(views)
-    most = at_once(views, 2 * THREADS + 1, HOST_BYTES)
+    most = _at_once(views, 2 * THREADS + 1, HOST_BYTES)
     yield from called_ahead(decode, zip(views), min(THREADS, most), most)
 
 
-def host_bytes(view: View) -> int:
+def _host_bytes(view: View) -> int:
     """About the most bytes of host memory that `decode` takes."""
     whole = LENS_BYTES * view.lens.width * view.lens.height if view.lens else 0
     return math.prod(photo_array(view).shape) + whole + BAND_COPIES * BAND_BYTES
 
 
-def at_once(views: Iterable[View], most: int, budget: int) -> int:
-    """How many of these photos may be decoded at the same time: 1 to `most`, as many as fit.
-
-    Parameters
-    ----------
-    budget : bytes of host memory.
-    """
-    largest = max(map(host_bytes, views), default=1)
-    return max(1, min(most, budget // largest))
+def _at_once(views: Iterable[View], most: int, budget: int) -> int:
+    """How many of these photos may be decoded at the same time: as many as fit, 1 to `most`."""
+    return max(1, min(most, budget // max(map(_host_bytes, views), default=1)))
 
 
 def reading_bytes(views: Sequence[View]) -> int:
-    """The most bytes of host memory that photos take at a level, whatever their number.
-
-    Parameters
-    ----------
-    views : at the level with the largest photos.
-    """
+    """The most bytes of host memory that photos take at a level, whatever their number; `views` are
+    at the level with the largest photos."""
     held = max(math.prod(photo_array(view).shape) for view in views)
-    return (at_once(views, 2 * THREADS + 1, HOST_BYTES) * max(map(host_bytes, views)) + held
-            + 2 * MEMORY_BYTES)
+    return _at_once(views, 2 * THREADS + 1, HOST_BYTES) * max(map(_host_bytes, views)) + held
 
 
 def size_note(views: Sequence[View], options: SceneOptions) -> str | None:
-    """A message for the user if --max-resolution makes photos smaller, or None.
+    """A message for the user if --max-resolution makes photos smaller than -r does, or None."""
+    def reduced(view: View, most: float = 0) -> tuple[int, int]:
+        camera = view.camera.reduced(options.downscale, most)
+        return camera.width, camera.height
 
-    A reduction by -r is not mentioned.
-
-    Parameters
-    ----------
-    views : as they were read.
-    options : options of the photos' size.
-    """
-    limited = [view.camera for view in views
-               if view.camera.reduced(options.downscale, options.max_resolution).width
-               < view.camera.reduced(options.downscale).width]
+    limited = [view for view in views if reduced(view, options.max_resolution) < reduced(view)]
     if not limited:
         return None
-    largest = max(limited, key=lambda camera: camera.width * camera.height)
-    small = largest.reduced(options.downscale, options.max_resolution)
-    return (f"photos of {largest.width}x{largest.height} are reduced to {small.width}x"
-            f"{small.height}; --max-resolution none keeps their size")
+    largest = max(limited, key=lambda view: view.camera.width * view.camera.height)
+    small = reduced(largest, options.max_resolution)
+    return (f"photos of {largest.camera.width}x{largest.camera.height} are reduced to {small[0]}x"
+            f"{small[1]}; --max-resolution none keeps their size")
 
 
 def at_level(views: Iterable[View], level: float) -> tuple[View, ...]:
@@ -152,7 +133,7 @@ def photo_array(view: View) -> ArraySpec:
 
 
 class Thumbnails:
-    """Photos of at most SMALL_SIDE pixels, which are decoded when they are first asked for.
+    """Photos of at most SMALL_SIDE pixels, each decoded once for all that is decided from them.
 
     Parameters
     ----------
@@ -164,10 +145,8 @@ class Thumbnails:
         self._photos: dict[tuple[int, int, int], Photo] = {}
 
     def of(self, indices: Iterable[int]) -> tuple[tuple[View, ...], Iterator[Photo]]:
-        """Some of the views, with small cameras, and their photos as `photos.decode` returns them.
-
-        All are smaller by one factor. Photos are decoded once the first is asked for.
-        """
+        """Some of the views, with cameras that are smaller by one factor, and their photos as
+        `decode` returns them, once the first is asked for."""
         indices = list(indices)
         small = with_side([self.views[index] for index in indices], SMALL_SIDE)
         return small, self._read(indices, small)
@@ -185,10 +164,10 @@ class Thumbnails:
 
 
 class PhotoStore:
-    """Decodes photos in threads, from the first to the last, and keeps them.
+    """Decodes photos in threads, from the first to the last, and keeps them in a file.
 
     The file has no name, so the system removes it however the process ends. Photos for which there
-    is neither memory nor space are decoded at each use.
+    is no space are decoded at each use.
 
     Parameters
     ----------
@@ -202,33 +181,24 @@ class PhotoStore:
     count : how many photos are kept, which are the first.
     """
 
-    def __init__(self, sizes: Sequence[int], decode: Callable[[int], Photo],
-                 threads: int, folder: Path | None = None) -> None:
-        ends = np.cumsum(sizes)
-        self._decode, self._in_memory = decode, int((ends <= MEMORY_BYTES).sum())
-        self.count, self._lock = self._in_memory, Lock()
+    def __init__(self, sizes: Sequence[int], decode: Callable[[int], Photo], threads: int,
+                 folder: Path | None = None) -> None:
+        ends, self._decode, self._lock = np.cumsum(sizes), decode, Lock()
+        self._begins: list[int] = (ends - sizes).tolist()
         self._file: BufferedRandom | None = None
-        self._begins = (ends - sizes - ends[self._in_memory - 1] * (self._in_memory > 0)).tolist()
-        if self._in_memory < len(sizes):
-            self._open_file(folder or Path(tempfile.gettempdir()), np.append(
-                self._begins[self._in_memory + 1:], self._begins[-1] + sizes[-1]))
+        try:
+            folder = folder or Path(tempfile.gettempdir())
+            self.count = int((ends <= DISK_SHARE * shutil.disk_usage(folder).free).sum())
+            self._file = tempfile.TemporaryFile(dir=folder) if self.count else None
+        except OSError:
+            self.count = 0  # a folder that cannot be written
         self._threads = ThreadPoolExecutor(threads)
-        self._photos: list[Future[Kept]] = [
+        self._shapes: list[Future[tuple[int, ...] | None]] = [
             self._threads.submit(self._keep, i) for i in range(self.count)]
 
-    def _open_file(self, folder: Path, ends: NDArray[np.int64]) -> None:
-        try:
-            fits = int((ends <= DISK_SHARE * shutil.disk_usage(folder).free).sum())
-            if fits:
-                self._file = tempfile.TemporaryFile(dir=folder)
-                self.count += fits
-        except OSError:
-            pass  # a folder that cannot be written
-
-    def _keep(self, index: int) -> Kept:
+    def _keep(self, index: int) -> tuple[int, ...] | None:
+        """Decode a photo into the file; returns its shape, or None if that cannot be written."""
         photo = self._decode(index)
-        if index < self._in_memory:
-            return photo
         try:
             with self._lock:
                 assert self._file is not None
@@ -240,16 +210,14 @@ class PhotoStore:
 
     def wait(self) -> None:
         """Wait until all photos that are kept are decoded; InputError at a damaged one."""
-        for photo in self._photos:
-            photo.result()
+        for shape in self._shapes:
+            shape.result()
 
     def read(self, index: int) -> Photo:
         """A photo, as `decode` returns it, once it is decoded; its errors."""
-        kept = self._photos[index].result() if index < self.count else None
-        if isinstance(kept, np.ndarray):
-            return kept
-        if kept is not None:
-            photo = np.empty(kept, np.uint8)
+        shape = self._shapes[index].result() if index < self.count else None
+        if shape is not None:
+            photo = np.empty(shape, np.uint8)
             with self._lock:
                 assert self._file is not None
                 self._file.seek(self._begins[index])
@@ -260,8 +228,7 @@ class PhotoStore:
     def close(self) -> None:
         """Drop all photos, and remove the file."""
         self._threads.shutdown(wait=False, cancel_futures=True)
-        self._photos = []
-        self.count = 0
+        self._shapes, self.count = [], 0
         with self._lock:
             if self._file is not None:
                 self._file.close()
@@ -274,8 +241,6 @@ class Photos:
     levels are decoded into a `PhotoStore` and read from it, one ahead: `expect` announces the
     next. While a level is trained, the photos of the next are decoded into a store of their own.
     All photos are decoded at the start, so that a damaged one is refused before a run begins.
-
-    Host memory holds `reading_bytes`, whatever the number of photos.
 
     Parameters
     ----------
@@ -291,7 +256,7 @@ class Photos:
     level, views : the present level, and the views at it.
     resident : whether the photos of this level stay on the device.
     ignored : of views that are `weighed`, the cells whose pixels are left out besides those that do
-        not count anyway (robust.py); None: none were looked for yet.
+        not count anyway (parts/outlier_masks.py); None: none were looked for yet.
     read_seconds : duration of the last change of level.
     """
 
@@ -315,18 +280,18 @@ class Photos:
             return
         begin = time.perf_counter()
         first, self.level, self.views = not self.level, level, at_level(self._full, level)
-        self.resident = self._fits(self.views)
+        self.resident = self._nbytes() <= self._budget
         for pending in self._ahead.values():
             pending.cancel()
         self._ahead.clear()
         self._arrays: list[Array] = []
-        expected, self._next = self._next, None
         self._close(self._store)
         self._store = None
-        if expected and expected[0] == level:
-            self._store = expected[1]
-        elif expected:
-            self._close(expected[1])
+        if self._next and self._next[0] == level:
+            self._store = self._next[1]
+        elif self._next:
+            self._close(self._next[1])
+        self._next = None
         if self.resident:
             photos = (map(self._store.read, range(len(self.views))) if self._store
                       else decoded(self.views))
@@ -350,7 +315,7 @@ class Photos:
 
     def _stored(self, views: Sequence[View], threads: int, budget: int) -> PhotoStore:
         return PhotoStore([math.prod(photo_array(view).shape) for view in views],
-                          lambda index: decode(views[index]), at_once(views, threads, budget),
+                          lambda index: decode(views[index]), _at_once(views, threads, budget),
                           self._folder)
 
     @staticmethod
@@ -358,13 +323,13 @@ class Photos:
         if store:
             store.close()
 
-    def _fits(self, views: Iterable[View]) -> bool:
-        return _nbytes(self.device, views) <= self._budget
+    def _nbytes(self) -> int:
+        return sum(photo_array(view).nbytes(self.device.real) for view in self.views)
 
     @property
     def spare_bytes(self) -> float:
         """What is left of the budget beside the photos of this level; 0 if they do not fit."""
-        return max(0.0, self._budget - _nbytes(self.device, self.views))
+        return max(0.0, self._budget - self._nbytes())
 
     def expect(self, index: int) -> None:
         """Begin to read a photo that will be used soon."""
@@ -377,7 +342,6 @@ class Photos:
         pending = self._ahead.pop(index, None)
         photo = pending.result() if pending else self._store.read(index)
         if self.ignored is not None:
-            photo = photo.copy()  # the store keeps it
             _leave_out(photo[3], self.ignored[index])
         return self.device.upload(photo)
 
@@ -414,8 +378,3 @@ def _own_mask(view: View) -> Photo:
 
 def _leave_out(mask: Photo, ignored: Cells) -> None:
     mask[spread(ignored, *mask.shape)] = 0
-
-
-def _nbytes(device: Device, views: Iterable[View]) -> int:
-    """Bytes of the photos of views on a device."""
-    return sum(photo_array(view).nbytes(device.real) for view in views)

@@ -41,29 +41,21 @@ class SilentProgress:
 
 
 class NotedProgress(SilentProgress):
-    """Passes everything on, and notes in a locked folder that its process does not hang.
-
-    Parameters
-    ----------
-    folder : of the run.
-    shown : receives everything.
-    """
+    """Passes everything on to `shown`, and notes in a run's locked folder that its process does not
+    hang."""
 
     def __init__(self, folder: Path, shown: SilentProgress) -> None:
         self._folder, self._shown, self._noted = folder, shown, time.monotonic()
 
     def __call__(self, **values: Any) -> None:
-        """Show the numbers of a training step."""
         self._note()
         self._shown(**values)
 
     def message(self, text: str) -> None:
-        """Print a line that stays."""
         self._note()
         self._shown.message(text)
 
     def phase(self, text: str) -> None:
-        """Show what is being done now."""
         self._note()
         self._shown.phase(text)
 

@@ -1,32 +1,91 @@
-"""Reports a training: to metrics.jsonl, to the progress line, and to the user's callbacks."""
+"""Measures a training and reports it: to metrics.jsonl, the user and the user's callbacks."""
 
-from collections.abc import Callable, Iterable
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
+from clsplat.config.option import is_auto
+from clsplat.device import Device
 from clsplat.errors import InputError, StopTraining
+from clsplat.evaluation.views import METRICS, evaluate_views, final_metrics
 from clsplat.io.runs.run import RunFolder
-from clsplat.report.scores import is_upheaval
-from clsplat.training.clock import Clock
+from clsplat.report.scores import disturbed, is_upheaval, main_key
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
-from clsplat.training.step import TOO_MANY, Measured
+from clsplat.training.step import Measured
 
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
 LOG_EVERY = 100
+EVALUATIONS = 8  # in a run, by default
+EVALUATION_SHARE = 1 / 3  # of the time so far that evaluations may take
+# Share of the rows between two records above which training stops. Good runs skip none, and a few
+# broken gaussians cause some in a million. A skipped gaussian does not change, and its neighbours
+# learn to compensate: with one in a hundred the result is no longer the scene.
+TOO_MANY = 0.01
 Callback = Callable[[dict[str, Any]], object]  # called with a record
 
 
+class Clock:
+    """Measures time and counts the bytes of arrays passed to kernels; it starts at once."""
+
+    def __init__(self, device: Device) -> None:
+        self._device, self._started = device, time.perf_counter()
+        self._train_seconds = self._wall_seconds = 0.0  # before the last pause; before a resume
+        self._kernel_bytes = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Exclude the time since the last pause from training."""
+        self._since = time.perf_counter() - self._device.build_seconds
+        self._bytes = self._device.kernel_bytes
+
+    def add(self, seconds: float) -> None:
+        """Count seconds that were spent before the first step as training."""
+        self._train_seconds += seconds
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Exclude the time of the block from training."""
+        self._device.finish()
+        self._train_seconds, self._kernel_bytes = self.trained(), self.moved()
+        yield
+        self.restart()
+
+    def trained(self) -> float:
+        """Seconds of training so far, without the compilation of kernels."""
+        return (self._train_seconds + time.perf_counter() - self._device.build_seconds
+                - self._since)
+
+    def moved(self) -> int:
+        """Bytes of the arrays that training has passed to kernels, summed over launches."""
+        return self._kernel_bytes + self._device.kernel_bytes - self._bytes
+
+    def elapsed(self) -> float:
+        """Wall seconds since the run began, including those before a resume."""
+        return self._wall_seconds + time.perf_counter() - self._started
+
+    def state(self) -> dict[str, float]:
+        """State for a checkpoint, while paused."""
+        return {"train_seconds": self._train_seconds, "wall_seconds": self.elapsed(),
+                "kernel_bytes": self._kernel_bytes}
+
+    def load(self, state: dict[str, float]) -> None:
+        """Restore what `state` returned."""
+        self._train_seconds, self._wall_seconds = state["train_seconds"], state["wall_seconds"]
+        self._kernel_bytes = int(state["kernel_bytes"])
+
+
 class Recorder:
-    """Reports the steps of a session.
+    """Reports the steps and the evaluations of a session.
 
     Attributes
     ----------
     progress : the progress line.
     stop : whether a callback has raised an exception, after which the step is finished and saved.
     failure : the first exception of a callback that is not StopTraining, to be raised then.
-    upheavals : event -> step of its latest record, of those that lower the scores for a while.
     """
 
     def __init__(self, session: Session, clock: Clock, run: RunFolder, progress: SilentProgress,
@@ -34,10 +93,10 @@ class Recorder:
         self.session, self.clock, self.run, self.progress = session, clock, run, progress
         self._callbacks, self.stop = tuple(callbacks), False
         self.failure: BaseException | None = None
-        self.upheavals: dict[str, int] = {}
+        self._upheavals: dict[str, int] = {}  # event that lowers the scores for a while -> step
 
     def _place(self) -> dict[str, Any]:
-        """The keys of every record, which tell where the training is."""
+        """The keys of every record: where the training is."""
         session, clock = self.session, self.clock
         return {"iteration": session.iteration, "train_seconds": round(clock.trained(), 3),
                 "wall_seconds": round(clock.elapsed(), 3), "level": session.level,
@@ -49,18 +108,13 @@ class Recorder:
                   "kernel_bytes": self.clock.moved(), **values}
         self.run.log(record)
         if is_upheaval(record):
-            self.upheavals[event] = self.session.iteration
+            self._upheavals[event] = self.session.iteration
         if event != "step":  # callbacks receive every step from `stepped`
             self._show(record)
 
     def stepped(self, measured: list[Measured], frequency: dict[str, float] | None) -> None:
-        """Report a step, if a report is due; InputError where training cannot go on.
-
-        Parameters
-        ----------
-        measured : the result of the step.
-        frequency : scene frequencies, if they were measured.
-        """
+        """Report a step and the scene frequencies, if they were measured, where a report is due;
+        InputError where training cannot go on."""
         iteration = self.session.iteration
         reports = iteration % REPORT_EVERY == 0 or iteration == 1
         if not (reports or self._callbacks):
@@ -114,6 +168,76 @@ class Recorder:
                                   "finite and were skipped; metrics.jsonl counts them as "
                                   "skipped_rows")
         return values
+
+    def note(self, result: dict[str, Any]) -> str:
+        """What to say of the scores of an evaluation besides: what lowered them, or more scores."""
+        return ", ".join(f"{name.upper()} {result[name]:.4f}" for name in ("flip", "lpips")
+                         if name in result) or disturbed(self._upheavals, self.session.iteration)
+
+
+class Evaluator:
+    """Evaluates the held-out views of a session.
+
+    Attributes
+    ----------
+    evaluated_at : step of the last evaluation of the run, or None.
+    per_view : scores of its views, if this process made it.
+    final_metrics : of the last evaluation, which has time for more.
+    latest_seconds : its duration.
+    """
+
+    def __init__(self, session: Session, clock: Clock, recorder: Recorder) -> None:
+        self.session, self.clock, self.recorder = session, clock, recorder
+        self.final_metrics = final_metrics(session.options.lpips)
+        self.evaluated_at: int | None = None
+        self.per_view: list[dict[str, Any]] | None = None
+        self.latest_seconds = self._all_seconds = 0.0
+        self._is_begun = False  # whether the head of the scores was shown
+
+    def is_due(self) -> bool:
+        """Whether an evaluation is due after the latest step, by its number and the time so far."""
+        options, iteration = self.session.options, self.session.iteration
+        if not is_auto(options.eval_every):
+            return options.eval_every > 0 and iteration % options.eval_every == 0
+        if EVALUATIONS * iteration % options.iterations >= EVALUATIONS:  # not after an eighth
+            return False
+        return (self._all_seconds + self.latest_seconds
+                <= EVALUATION_SHARE * self.clock.elapsed())
+
+    def evaluate(self, final: bool = False) -> None:
+        """Evaluate and record the metrics, outside of training time, if any view is held out; the
+        last time by `final_metrics`."""
+        session, progress = self.session, self.recorder.progress
+        if not session.test_views:
+            return
+        begin = time.perf_counter()
+        with self.clock.paused():
+            progress.phase("evaluating")
+            session.step.release()  # frames of evaluation have other sizes
+            result = evaluate_views(session.renderer, session.model.current_rows(),
+                                    session.options.sh_degree, session.test_views,
+                                    metrics=self.final_metrics if final else METRICS,
+                                    predicted=session.predicted())
+            session.device.trim()
+        self.latest_seconds = time.perf_counter() - begin
+        self._all_seconds += self.latest_seconds
+        self.evaluated_at, self.per_view = session.iteration, result.pop("per_view")
+        self.recorder.log("eval", **result)
+        progress.message("\n".join(self._lines(result)))
+
+    def _lines(self, result: dict[str, Any]) -> Iterator[str]:
+        """An evaluation in columns, in at most 79 characters; above the first of this process a
+        head."""
+        key = main_key(result)
+        if not self._is_begun:
+            self._is_begun = True
+            yield (f"scores of {result['views']} held-out photo{'s' * (result['views'] != 1)}"
+                   + ", their colours fitted, as exposures are learned" * (key == "psnr_cc"))
+            yield f"{'step':>7}{'PSNR, dB':>10}{'SSIM':>9}{'gaussians':>13}{'training':>11}"
+        ssim = result[key.replace("psnr", "ssim")]
+        yield (f"{self.session.iteration:>7}{result[key]:>10.2f}{ssim:>9.4f}"
+               f"{self.session.model.count:>13,}{self.clock.trained():>9.1f} s  "
+               f"{self.recorder.note(result)}").rstrip()
 
 
 def broken(run: RunFolder, what: str,

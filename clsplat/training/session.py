@@ -42,12 +42,8 @@ class Session:
 
     Parameters
     ----------
-    prepared : the scene, ready for training.
-    device : where it trains.
-    gaussians : the initial gaussians.
     schedule : decides level and growth; None: the caller does, and gives `photos`.
-    photos : the photos of the training views; None: photos at the levels of the schedule.
-    progress : receives what is being done.
+    photos : of the training views; None: at the levels of the schedule.
     folder : where photos wait for their use (`Photos`).
     level : the level at which training begins; 0: the first one of the schedule.
 
@@ -89,23 +85,9 @@ class Session:
               progress: SilentProgress | None = None,
               gaussians: Gaussians | None = None, folder: Path | None = None,
               level: float = 0.0, parts: Iterable[Part] = ()) -> Session:
-        """Build a session, and read all photos, held-out ones too.
-
-        Parameters
-        ----------
-        scene : the scene as it was read.
-        options : the options as the user gave them.
-        device : where it trains.
-        progress : receives what is being done.
-        gaussians : the gaussians of a resumed run; None: the initial ones.
-        folder : where photos wait for their use (`Photos`).
-        level : the level of a resumed run; 0: the first one.
-        parts : parts besides those that the options ask for (`parts_of`).
-
-        Raises
-        ------
-        InputError : for a scene, option or photo that cannot be used.
-        """
+        """Build a session from a scene and options as they were given, and read all photos,
+        held-out ones too; InputError for what cannot be used. A resumed run has its gaussians and
+        its level."""
         progress = progress or SilentProgress()
         progress.phase("planning")
         prepared = prepare(scene, options, device, parts)
@@ -154,18 +136,13 @@ class Session:
         return True
 
     def sample(self, view: int, number: int) -> TrainingSample:
-        """The training sample of a view.
-
-        Parameters
-        ----------
-        view : index of the training view.
-        number : how many views have been trained on, with this one.
+        """The training sample of a view, with the number of views that have been trained on then.
         """
         return TrainingSample(view, self.cameras[view], self.photos[view],
                               self.train_views[view].may_have_mask, number)
 
     def expect(self, view: int, number: int, plan: Plan) -> None:
-        """Begin to read the photos that a step on a view will need; arguments as for `sample`."""
+        """Begin to read the photos that a step on a view will need."""
         self.photos.expect(view)
         for part in self.parts:
             for other in part.read_ahead(plan, view, number):

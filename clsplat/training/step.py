@@ -33,32 +33,19 @@ from clsplat.training.model import Model
 from clsplat.training.part import Inputs, Now, Part, TrainingSample, ViewPass
 from clsplat.training.units import Unit, Units
 
-# Share of the rows between two records above which training stops. Good runs skip none, and a few
-# broken gaussians cause some in a million. A skipped gaussian does not change, and its neighbours
-# learn to compensate: with one in a hundred the result is no longer the scene.
-TOO_MANY = 0.01
 RESET_OPACITY = 0.01
 ScoringViews = Callable[[], list[ViewPass]]
 Measured = dict[str, Any]  # name of a part -> what its term of the loss measured in a view
 
 
 class _Given(NamedTuple):
-    """What a step is given for one view.
-
-    Attributes
-    ----------
-    plan : the schedule's decisions for the step.
-    sample : the view.
-    numbers : what Adam needs of the step.
-    slot : place of the view in the batch.
-    parts : those that take part in the view, with their inputs.
-    """
+    """What a step is given for one view."""
 
     plan: Plan
     sample: TrainingSample
-    numbers: Mapping[str, Any]
-    slot: int
-    parts: Sequence[tuple[Part, Inputs]]
+    numbers: Mapping[str, Any]  # what Adam needs of the step
+    slot: int  # place of the view in the batch
+    parts: Sequence[tuple[Part, Inputs]]  # those that take part in the view, with their inputs
 
 
 class Step:
@@ -149,18 +136,8 @@ class Step:
     # --- a step
 
     def run(self, iteration: int, plan: Plan, samples: Iterable[TrainingSample]) -> list[Measured]:
-        """Take a step on the mean loss of options.batch samples.
-
-        Parameters
-        ----------
-        iteration : number of the step, from 1.
-        plan : the schedule's decisions for it.
-        samples : training views; read one at a time.
-
-        Returns
-        -------
-        The measurements of each sample, still on the device; see `values`.
-        """
+        """Take a step, by number from 1, on the mean loss of options.batch samples, which are read
+        one at a time; returns the measurements of each, still on the device (`values`)."""
         views, now = self.options.batch, self.now(iteration, plan)
         measured: list[Measured] = [{} for _ in range(views)]
         numbers = self._model.adam.numbers(iteration, now.rates)
@@ -200,14 +177,8 @@ class Step:
 
     def pass_of(self, sample: TrainingSample, parts: Sequence[tuple[Part, Inputs]] = (),
                 view: int | None = None) -> ViewPass:
-        """The pass of a sample, from the camera that parts correct.
-
-        Parameters
-        ----------
-        sample : the sample.
-        parts : those that take part in it, with their inputs.
-        view : an input of a recording instead of `sample.view`.
-        """
+        """The pass of a sample, from the camera that the given parts correct; `view` is an input of
+        a recording instead of `sample.view`."""
         work = ViewPass(sample.view if view is None else view, sample.camera, sample.camera,
                         sample.photo, self._model.rows, self.units.counts, self.frozen)
         for part, own in parts:
@@ -314,8 +285,7 @@ class Step:
 
         Parameters
         ----------
-        iteration : number of the step, from 1.
-        plan : of that step.
+        iteration, plan : of that step.
         schedule : decides what becomes of the gaussians.
         scoring_views : returns some training views, for a schedule that scores gaussians.
 
@@ -374,7 +344,8 @@ class Step:
 
 
 class SkippedGradients:
-    """Counts skipped rows over a run.
+    """Counts the gradients of a run that are not finite, whose rows the device skips: rows of
+    gaussians (cl/project.cl) and of views (cl/exposure.cl).
 
     Parameters
     ----------
@@ -383,25 +354,20 @@ class SkippedGradients:
     Attributes
     ----------
     total : rows skipped in the whole run, at the last `poll`.
-    requested : rows of gradients in the whole run, at the last `poll`.
     """
 
     def __init__(self, *counters: Array) -> None:
         self._counters = counters
-        self._counted = self._requested = 0  # by the counters, and requested, at the last poll
+        self._counted = self._asked = 0  # by the counters, and requested, at the last poll
         self.total = self.requested = self._closed = self._closed_requested = 0
 
     def poll(self, requested: int) -> bool:
-        """Update the attributes, and tell whether these are the first skipped rows; waits.
-
-        Parameters
-        ----------
-        requested : rows of gradients that this process requested so far.
-        """
+        """Update the counts, and return whether these are the first skipped rows; waits.
+        `requested` are the rows of gradients that this process requested so far."""
         before, counted = self.total, sum(int(counter.last()) for counter in self._counters)
         self.total += (counted - self._counted) % 2**32
-        self.requested += requested - self._requested
-        self._counted, self._requested = counted, requested
+        self.requested += requested - self._asked
+        self._counted, self._asked = counted, requested
         return self.total > before == 0
 
     def close(self) -> tuple[int, int]:

@@ -28,24 +28,14 @@ COUNTS = ArraySpec((FRAME_COUNTS,), np.uint32)
 
 
 class Unit(NamedTuple):
-    """The work of one frame.
+    """The work of one frame."""
 
-    Attributes
-    ----------
-    work : enqueues it; COUNT_DONE counts the units that are done.
-    make_room : is called once the unit has failed, when nothing else is pending.
-    """
-
-    work: Callable[[], None]
-    make_room: Callable[[], None]
+    work: Callable[[], None]  # enqueues it; COUNT_DONE counts the units that are done
+    make_room: Callable[[], None]  # is called once the unit has failed, when all before are done
 
 
 class Units:
     """The units that were submitted and are not known to be done.
-
-    Parameters
-    ----------
-    device : of the work.
 
     Attributes
     ----------

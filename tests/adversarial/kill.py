@@ -15,7 +15,7 @@ from clsplat.cli.main import main
 from clsplat.io import npz
 from clsplat.io.runs.run import METRICS, RunFolder
 from clsplat.optimise.adam import DeviceAdam
-from clsplat.training import evaluator
+from clsplat.training import recorder
 from clsplat.training.step import Step
 
 # moment -> what is called then; "after": once it has returned
@@ -24,7 +24,7 @@ BEFORE = {
     "growth": (DeviceAdam, "regrow"),  # the rows have grown, their moments have not
     "checkpoint": (npz, "write_array"),  # the arrays before it are in the file
     "rename": (os, "replace"),
-    "evaluation": (evaluator, "evaluate_views"),
+    "evaluation": (recorder, "evaluate_views"),
     "model": (RunFolder, "save_model"),
     "record": (RunFolder, "log"),
 }

@@ -6,7 +6,7 @@ import pytest
 
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.runs.run import RunFolder
-from clsplat.training import evaluator, finish, loop
+from clsplat.training import finish, loop, recorder
 from clsplat.training.photos import Photos
 from tests.data.tiny_training import STILL, model_digest, records, resumed, trained
 
@@ -46,7 +46,7 @@ def test_a_report_that_cannot_be_drawn_costs_nothing_else(
 def test_the_last_moments_lose_nothing(whole, item_device, city, tmp_path, monkeypatch, moment,
                                        error):
     """Fault C6: Ctrl-C in the final evaluation came before the final checkpoint."""
-    monkeypatch.setattr(evaluator if moment == "evaluate_views" else loop, moment, broken(error))
+    monkeypatch.setattr(recorder if moment == "evaluate_views" else loop, moment, broken(error))
     with pytest.raises(Interrupted if isinstance(error, KeyboardInterrupt) else InputError):
         trained(tmp_path / "run", city, item_device, **OPTIONS)
     run = RunFolder(tmp_path / "run")

@@ -6,7 +6,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.scenes.read import read_scene
-from clsplat.training.evaluator import Evaluator
+from clsplat.training.recorder import Evaluator, Recorder
 from tests.data.tiny_training import CITY, STILL, resumed, trained
 from tests.evaluation.test_lpips import NETWORK
 
@@ -65,9 +65,11 @@ def test_an_evaluation_is_a_line_of_columns_with_one_number(result, upheavals, h
     told._is_begun = False
     told.session = SimpleNamespace(iteration=750, model=SimpleNamespace(count=35_840))
     told.clock = SimpleNamespace(trained=lambda: 29.0)
-    told.recorder = SimpleNamespace(upheavals=upheavals)
-    lines = [*told._head(result), told._line(result)]
+    told.recorder = Recorder.__new__(Recorder)
+    told.recorder.session, told.recorder._upheavals = told.session, upheavals
+    lines = [*told._lines(result)]
     assert lines[0] == head and lines[-1].split()[:6] == columns and lines[-1].endswith(note)
-    assert max(map(len, lines)) < 80 and list(told._head(result)) == []  # only once
+    assert max(map(len, lines)) < 80
     told.session.iteration, told.session.model.count = 1_000_000, 20_000_000
-    assert len(told._line(result)) < 80
+    line, = told._lines(result)  # the head is shown once
+    assert len(line) < 80

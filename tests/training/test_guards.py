@@ -203,7 +203,7 @@ def test_how_many_are_too_many(train, poison, monkeypatch):
         train()
     many, asked = (int(word.replace(",", "")) for word in
                    str(caught.value).partition(": ")[2].split()[0:3:2])
-    assert 0 < many < asked and step.TOO_MANY == recorder.TOO_MANY == 0.01
+    assert 0 < many < asked and recorder.TOO_MANY == 0.01
     for limit, folder in ((many / asked, "below"), (0.999 * many / asked, "above")):
         monkeypatch.setattr(recorder, "TOO_MANY", limit)
         poison(13, 13)

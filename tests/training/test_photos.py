@@ -49,7 +49,6 @@ def reads(monkeypatch):
 @pytest.fixture
 def no_room(monkeypatch):
     """Neither memory nor disk for photos that wait."""
-    monkeypatch.setattr(module, "MEMORY_BYTES", 0)
     monkeypatch.setattr(module, "DISK_SHARE", 0)
 
 
@@ -67,7 +66,7 @@ def idle(photos):
     for store in (photos._store, photos._next and photos._next[1]):
         if store:
             store._threads.submit(int).result(timeout=120)
-            concurrent.futures.wait(store._photos, timeout=120)
+            concurrent.futures.wait(store._shapes, timeout=120)
 
 
 def is_at(photos, views, level):

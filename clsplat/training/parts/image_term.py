@@ -16,12 +16,7 @@ if TYPE_CHECKING:
 
 
 class ImageTerm(Part):
-    """L1 and D-SSIM of the image against its photo.
-
-    Parameters
-    ----------
-    ssim_weight : share of D-SSIM; a session has its own.
-    """
+    """L1 and D-SSIM of the image against its photo."""
 
     name = "image"
     Options = ImageLossOptions

@@ -10,14 +10,7 @@ from clsplat.io.runs.learned import write_poses
 from clsplat.optimise.options import PoseOptions
 from clsplat.optimise.pose import LEARNED, Poses, pose_rate
 from clsplat.placement.corrections import Correction, typical_depth
-from clsplat.training.part import (
-    Inputs,
-    Now,
-    Part,
-    State,
-    TrainingSample,
-    ViewPass,
-)
+from clsplat.training.part import Inputs, Now, Part, State, TrainingSample, ViewPass
 
 if TYPE_CHECKING:
     from clsplat.io.runs.run import RunFolder
@@ -27,12 +20,7 @@ if TYPE_CHECKING:
 
 
 class CameraPoses(Part):
-    """Renders each view from its corrected pose, and learns the correction.
-
-    Attributes
-    ----------
-    poses : the corrections, and their Adam.
-    """
+    """Renders each view from its corrected pose, and learns the correction."""
 
     name = "pose"
     Options = PoseOptions

@@ -38,10 +38,9 @@ class SourceViews:
 
     Parameters
     ----------
-    device : the device of the photos.
     neighbours : indices of the source views of each view (covisibility/source_views.py).
     exposures : colour transforms of the views, or None.
-    seed : seed of the random choice of source views.
+    seed : of the random choice of source views.
 
     Attributes
     ----------
@@ -70,17 +69,8 @@ class SourceViews:
                         else self.device.upload(unchanged))
 
     def drawn(self, number: int, view: int) -> tuple[int, int] | None:
-        """Choose a source view at random; the choice depends on the seed and `number` only.
-
-        Parameters
-        ----------
-        number : how many views have been trained on, with this one.
-        view : index of the reference view.
-
-        Returns
-        -------
-        (row of the pair, index of the source view), or None for a view without source views.
-        """
+        """(row of the pair, index of a source view) of a view, or None if it has none. The view is
+        random, and depends on the seed and the number of views trained on alone."""
         count = len(self.neighbours[view])
         if not count:
             return None
@@ -89,12 +79,7 @@ class SourceViews:
 
 
 class Reprojection(Part):
-    """Compares a view with a source view through the rendered depth, while the schedule says so.
-
-    Attributes
-    ----------
-    sources : the source views.
-    """
+    """Compares a view with a source view through the rendered depth, while the schedule says so."""
 
     name = "reprojection"
     Options = ReprojectOptions

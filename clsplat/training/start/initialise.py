@@ -90,12 +90,7 @@ def initial_gaussians(scene: Scene, options: TrainOptions,
 
 
 def planned_initial(facts: SceneFacts, options: SceneOptions) -> SceneFacts:
-    """The facts with the number of gaussians in the file at which training begins, if it does.
-
-    Parameters
-    ----------
-    facts : with the number of points at which it begins otherwise.
-    """
+    """The facts with the number of gaussians in the file at which training begins, if it does."""
     points = is_auto(options.init) or options.init in POINTS
     # which a run that goes on no longer needs
     if points or not (os.path.exists(options.init) and is_model(options.init)):
@@ -106,15 +101,8 @@ def planned_initial(facts: SceneFacts, options: SceneOptions) -> SceneFacts:
 def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions,
                  compared: Callable[[], Sequence[Sequence[int]]]) -> tuple[str, str]:
     """(the value of `init` that is used, the reason); InputError where dense points were requested
-    and cannot be had.
-
-    Parameters
-    ----------
-    scene : at the size of training.
-    views : the training views of the scene.
-    options : with scaled steps.
-    compared : returns their `stereo_views`; called only where these matter.
-    """
+    and cannot be had. `compared` returns the `stereo_views` of the training views; it is called
+    only where these matter."""
     dense = options.init == "dense"
     if not dense and not is_auto(options.init):
         return options.init, f"{options.init}: requested"
@@ -144,13 +132,8 @@ def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions,
 
 
 def planned_count(limit: int | None, pixels: int, options: GrowthOptions) -> int:
-    """How many dense points are wanted.
-
-    Parameters
-    ----------
-    limit : number of gaussians that the schedule may end with; None: any.
-    pixels : in all training photos.
-    """
+    """How many dense points are wanted, by the number of gaussians that the schedule may end with
+    (None: any) and the pixels of all training photos."""
     most = pixels // PIXELS_A_POINT if limit is None else limit
     if options.max_gaussians:
         most = min(most, options.max_gaussians)
@@ -159,14 +142,8 @@ def planned_count(limit: int | None, pixels: int, options: GrowthOptions) -> int
 
 def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentProgress
                     ) -> tuple[Gaussians, float]:
-    """The initial gaussians of a training, and the seconds that it took to find them.
-
-    Parameters
-    ----------
-    device : of the training; the compilation of its kernels does not count.
-    prepared : the scene, with all decisions.
-    progress : receives what is being done.
-    """
+    """The initial gaussians of a training, and the seconds that it took to find them, without the
+    compilation of kernels."""
     began = time.perf_counter() - device.build_seconds
     dense = _dense(device, prepared, progress) if prepared.options.init == "dense" else None
     gaussians = initial_gaussians(prepared.scene, prepared.options, dense)
@@ -186,8 +163,7 @@ def _dense(device: Device, prepared: PreparedScene, progress: SilentProgress
 
 
 def start_seconds(device: Device, prepared: PreparedScene) -> float:
-    """About how long it will take to find the initial gaussians; the arguments are those of
-    `first_gaussians`."""
+    """About how long it will take to find the initial gaussians."""
     if prepared.options.init != "dense":
         return 0.0
     return sweep_seconds(device, prepared.scene, with_side(prepared.train_views, SIDE),

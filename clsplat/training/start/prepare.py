@@ -45,22 +45,13 @@ SERVED_SHARE = 0.99  # of the points for which a degree must suffice
 
 @dataclass(frozen=True, eq=False)
 class Decisions:
-    """All decisions about a training before it begins.
+    """All decisions about a training before it begins."""
 
-    Attributes
-    ----------
-    options : with values instead of "auto" where the scene decides, and with scaled steps.
-    facts : facts about the scene for its schedule, with the planned number of initial gaussians.
-    most_steps : which a time budget may not exceed.
-    parts : what is decided -> the decision.
-    compared : `stereo_views` of the training views, where training begins at dense points.
-    """
-
-    options: TrainOptions
-    facts: SceneFacts
-    most_steps: int
-    parts: dict[str, Decision]
-    compared: list[list[int]] | None = None
+    options: TrainOptions  # with values instead of "auto", and with scaled steps
+    facts: SceneFacts  # for the schedule, with the planned number of initial gaussians
+    most_steps: int  # which a time budget may not exceed
+    parts: dict[str, Decision]  # what is decided -> the decision
+    compared: list[list[int]] | None = None  # `stereo_views`, where training begins dense
 
     @property
     def reasons(self) -> dict[str, str]:
@@ -75,24 +66,16 @@ class Decisions:
 
 @dataclass(frozen=True, eq=False)
 class PreparedScene:
-    """A scene that is ready for training.
+    """A scene that is ready for training."""
 
-    Attributes
-    ----------
-    scene : with photos at the size of training; its unit is its extent, so that steps do not depend
-        on the unit of the coordinates.
-    train_views, test_views : the training views and the held-out views.
-    decisions : all that was decided.
-    thumbnails : small photos of the training views.
-    given : parts besides those that the options ask for.
-    """
-
+    # with photos at the size of training; its unit is its extent, so that steps do not depend on
+    # the unit of the coordinates
     scene: Scene
     train_views: tuple[View, ...]
-    test_views: tuple[View, ...]
+    test_views: tuple[View, ...]  # held out
     decisions: Decisions
-    thumbnails: Thumbnails
-    given: tuple[Part, ...] = ()
+    thumbnails: Thumbnails  # of the training views
+    given: tuple[Part, ...] = ()  # parts besides those that the options ask for
 
     @property
     def options(self) -> TrainOptions:
@@ -105,13 +88,7 @@ class PreparedScene:
         return self.scene.near(self.options.near)
 
     def schedule(self, gaussians: Gaussians, options: ScheduledOptions | None = None) -> Schedule:
-        """A new schedule.
-
-        Parameters
-        ----------
-        gaussians : the initial ones.
-        options : instead of `self.options`.
-        """
+        """A new schedule for these initial gaussians; `options` replace those of the scene."""
         options = options or self.options
         facts = replace(self.decisions.facts, count=gaussians.count)
         for part in self.given:
@@ -121,15 +98,8 @@ class PreparedScene:
 
 def prepare(scene: Scene, options: TrainOptions, device: Device | None = None,
             parts: Iterable[Part] = ()) -> PreparedScene:
-    """Prepare a scene for training; InputError where that is impossible.
-
-    Parameters
-    ----------
-    scene : as it was read.
-    options : as the user gave them.
-    device : where it trains.
-    parts : besides those that the options ask for.
-    """
+    """Prepare a scene for training, with options as they were given, and with `parts` besides those
+    that they ask for; InputError where that is impossible."""
     parts = tuple(parts)
     scene = with_depths(scene, options.depth)
     scene = scene.reduced(options.downscale, options.max_resolution).normalised()
@@ -152,14 +122,8 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None,
 
 def scene_facts(scene: Scene, views: Sequence[View], thumbnails: Thumbnails | None = None
                 ) -> SceneFacts:
-    """The facts of a scene for its schedule, if gaussians begin at its sparse points.
-
-    Parameters
-    ----------
-    scene : the scene at the size of training.
-    views : its training views.
-    thumbnails : of these views.
-    """
+    """The facts of a scene for its schedule, if gaussians begin at its sparse points; `views` are
+    its training views, at the size of training, and `thumbnails` of these."""
     return SceneFacts(
         smallest_size(views), len(scene.points), mean_inverse_distance(scene.points) / scene.unit,
         lambda: (photo[:3] for photo in decoded(views)),

@@ -26,14 +26,8 @@ FAINTEST = -np.log(ALPHA_STEPS - 1.0)  # logit of 1 / ALPHA_STEPS: nothing faint
 
 def find_warnings(scene: Scene, thumbnails: Thumbnails, opacity_logits: NDArray[np.floating]
                   ) -> list[str]:
-    """Find problems that will spoil a training, one sentence each.
-
-    Parameters
-    ----------
-    scene : the scene at the size of training.
-    thumbnails : of its training views.
-    opacity_logits : [N], of the initial gaussians.
-    """
+    """Find problems that will spoil a training, one sentence each; thumbnails are of its training
+    views, and opacity_logits [N] of the initial gaussians."""
     chosen, photos = thumbnails.sampled(SAMPLED_PHOTOS)
     problems = (scene.notes, _few(len(thumbnails.views), len(opacity_logits)),
                 _faint(opacity_logits), _parallax(scene), _cover(scene.points, chosen),

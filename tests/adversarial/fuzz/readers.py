@@ -11,7 +11,6 @@ import numpy as np
 import OpenImageIO as oiio
 
 from clsplat.camera import Camera
-from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.control_points import read_control_points
@@ -152,12 +151,7 @@ def _made_checkpoints(folder):
 def _checkpoint(folder):
     run = RunFolder.open(folder)
     arrays, state = run.load_checkpoint()
-    try:
-        checkpoint.check_state(state)
-        gaussians = checkpoint.gaussians_of(arrays, run.read_options()["sh_degree"])
-    except (KeyError, ValueError) as error:  # as `loop.resume` has it
-        raise InputError(f"{folder}: {error}") from None
-    check(gaussians)
+    check(checkpoint.saved_gaussians(run, run.read_options(), arrays, state))
     assert state["iteration"] >= 0 and state["level"] >= 1
 
 
