@@ -1,5 +1,4 @@
-"""Smaller finished models: without invisible and unsupported gaussians, and unneeded spherical
-harmonics."""
+"""Models of runs for other programs: without unsupported gaussians, as they are or upright."""
 
 import logging
 from collections.abc import Sequence
@@ -12,11 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from clsplat.apps.orthophoto import LEAST_VIEWS, shown_by
 from clsplat.camera import Camera
-from clsplat.device import Device
 from clsplat.edit.transform import transformed
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
-from clsplat.evaluation.views import evaluate_views
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.formats import write_model
 from clsplat.io.models.values import mode_comment
@@ -27,14 +24,9 @@ VIEWERS_UP = np.array([0.0, -1.0, 0.0])  # of SuperSplat and others, in the axes
 
 
 def supported(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.bool_]:
-    """[N]: whether at least LEAST_VIEWS photos show the place of a gaussian, hidden there or not,
-    as on a map; all, with a warning, if that holds for none.
-
-    Parameters
-    ----------
-    gaussians : the model.
-    photos : cameras, in original coordinates up to their offsets.
-    """
+    """bool[N]: whether at least LEAST_VIEWS photos show the place of a gaussian, hidden there or
+    not, as on a map; all, with a warning, if that holds for none. The photos' cameras are in
+    original coordinates up to their offsets."""
     shifted = [camera.shifted(gaussians.offset - camera.offset) for camera in photos]
     shown = shown_by(shifted, gaussians.positions.astype(np.float64)) >= LEAST_VIEWS
     if shown.any() or not gaussians.count:
@@ -46,14 +38,8 @@ def supported(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.bool
 
 
 def photos_of(run: Run, scene_path: Path | None = None) -> list[Camera]:
-    """The cameras of a run's photos in original coordinates; empty if its scene is not there.
-
-    Parameters
-    ----------
-    run : the run.
-    scene_path : where the scene is now, which must then be there; None: where the run has recorded
-        it.
-    """
+    """The cameras of a run's photos in original coordinates; empty if its scene is not where it was
+    recorded, but one that `scene_path` names must be there."""
     try:
         scene = run.scene(scene_path)
     except InputError:
@@ -69,45 +55,9 @@ def in_original(scene: Scene) -> list[Camera]:
                     offset=scene.offset).shifted(-scene.offset) for view in scene.views]
 
 
-def needed_sh_degree(run: Run, device: Device, cost: float, scene_path: Path | None = None
-                     ) -> tuple[int, list[float]]:
-    """The lowest degree of the spherical harmonics (SH) that the held-out views of a run need.
-
-    Parameters
-    ----------
-    run : a finished run.
-    device : an open device.
-    cost : dB, the loss of PSNR, mean over views, that is allowed.
-    scene_path : where the scene is now; None: where the run has recorded it.
-
-    Returns
-    -------
-    The degree, and the PSNR at degree 0, 1, ..., dB.
-
-    Raises
-    ------
-    InputError : the run does not hold out a view.
-    """
-    options, scene = run.options, run.scene(scene_path)
-    _, views = scene.split(options.test_every, options.test_offset)
-    if not views:
-        raise InputError(f"{run.path}: no held-out views to measure on (--test-every "
-                         f"{options.test_every}); name a degree instead of auto")
-    renderer, rows, highest = run.opened(device, scene)
-    scores = [evaluate_views(renderer, rows, degree, views)["psnr"]
-              for degree in range(highest + 1)]
-    enough = [degree for degree, score in enumerate(scores) if scores[-1] - score < cost]
-    return min(enough, default=highest), scores
-
-
 def write_run_model(path: Path, run: Run, gaussians: Gaussians, upright: bool = False) -> None:
-    """Write gaussians of a run in the format of a suffix, with what the run knows about them.
-
-    Parameters
-    ----------
-    path : as for `models.write_model`.
-    gaussians : in original coordinates.
-    upright : turn them so that up is -y.
+    """Write gaussians of a run, in original coordinates, in the format of a suffix, with what is
+    known about them; `upright` turns them so that up is -y.
 
     Raises
     ------

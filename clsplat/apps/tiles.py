@@ -1,18 +1,17 @@
 """3D Tiles 1.1: a model as a tree of glTF tiles, coarse to fine, for Cesium and other globes.
 
 The finest tiles are the leaves of a balanced octree, and together hold every gaussian once. A tile
-above them replaces its children where these would be too small to see: with the gaussians of one of
-SIG's levels, if the run kept its models, otherwise with the merged gaussians of its children.
+above them has the merged gaussians of its children, and replaces these if they would be too small
+to see.
 
 Tiles stand upright, z up; the transform of the root leads from there to the earth (ECEF), or to the
-scene where it has no georeference. Content of glTF has y up, and a viewer turns it back.
+scene if it has no georeference. Content of glTF has y up, and a viewer turns it back.
 
 The content is compressed as SPZ, which CesiumJS needs to draw splats, or plain.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,24 +22,21 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from clsplat.edit.decimate import decimated
-from clsplat.edit.select import merged, selected
+from clsplat.edit.select import halves, merged, selected
 from clsplat.edit.transform import half_axes, transformed
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io.atomic import replacing
 from clsplat.io.folders import new_folder
 from clsplat.io.georeference.crs import conversion
 from clsplat.io.models.gltf import COMPRESSION, EXTENSION, write_glb, write_spz_glb
-from clsplat.io.models.ply import read_ply
 from clsplat.io.models.values import Notes, mode_comment, opacities
+from clsplat.io.records import write_object
 
 TILE_GAUSSIANS = 20_000  # of a tile at most: 5 MB with harmonics of degree 3
-LEAST_SHARE = 0.25  # of TILE_GAUSSIANS that one of SIG's levels must have in a tile to be used
-TAIL_SHARE = 0.01  # of a cell's gaussians at each end of each axis that do not make it long
 REACH = 3.0  # standard deviations of a gaussian that count for the box around it
-# a viewer refines a tile where its geometric error covers 16 pixels (Cesium's default); a level is
-# enough while its mean sigma covers 2 pixels (city/lod.py)
+# a viewer refines a tile if its geometric error covers 16 pixels (Cesium's default); a level is
+# enough while its mean sigma covers 2 pixels (cities/lod.py)
 ERROR_OF_SIGMA = 16 / 2
 TILESET, CONTENT = "tileset.json", "tiles"
 Z_UP = np.array([0.0, 0.0, 1.0])
@@ -49,15 +45,6 @@ BASELINE = 100.0  # metres, along which the axes of a CRS are measured on the ea
 # `write_glb` turns (x, y, z) by half a turn about z, then z to y; a viewer turns only y to z. For
 # `write_spz_glb` the second is all
 TURNS = {False: np.diag([-1.0, -1.0, 1.0]), True: np.eye(3)}  # by whether content is compressed
-
-
-@dataclass(frozen=True, eq=False)
-class Cell:
-    """A part of space, from `low` to below `high`, float64[3], and the rows of the model in it."""
-
-    rows: NDArray[np.intp]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
 
 
 @dataclass(eq=False)
@@ -79,6 +66,11 @@ class Tile:
     error: float = 0.0
     children: list[Tile] = field(default_factory=list)
 
+    @property
+    def uri(self) -> str:
+        """The place of its content beside tileset.json."""
+        return f"{CONTENT}/{self.name}.glb"
+
     def all(self) -> Iterator[Tile]:
         """The tile and all below it."""
         yield self
@@ -94,58 +86,47 @@ def upright(gaussians: Gaussians, up: NDArray[np.float64]) -> Gaussians:
     return transformed(gaussians, rotation=turn.as_matrix())
 
 
-def tile_tree(gaussians: Gaussians, levels: Sequence[Gaussians] = (),
-              limit: int = TILE_GAUSSIANS) -> Tile:
-    """Cut a model into a tree of tiles.
-
-    Parameters
-    ----------
-    gaussians : the model, upright, at least one.
-    levels : coarser models of the same scene in the same frame, fine to coarse.
-    limit : gaussians of a tile at most.
-    """
+def tile_tree(gaussians: Gaussians, limit: int = TILE_GAUSSIANS) -> Tile:
+    """Cut a model, which stands upright and is not empty, into a tree of tiles of at most `limit`
+    gaussians."""
     positions = gaussians.positions.astype(np.float64)
-    coarse = [(level, level.positions.astype(np.float64)) for level in levels]
 
-    def build(name: str, cell: Cell) -> Tile:
-        if len(cell.rows) <= limit:
-            content = selected(gaussians, cell.rows)
+    def build(name: str, rows: NDArray[np.intp]) -> Tile:
+        if len(rows) <= limit:
+            content = selected(gaussians, rows)
             return Tile(name, content, *_box(content))
-        children = [build(f"{name}{number}", part)
-                    for number, part in enumerate(_parted(cell, positions, limit))]
-        content = _level_in(coarse, cell, limit) or decimated(
-            merged([child.gaussians for child in children]), limit)
-        boxes = [_box(content), *((child.low, child.high) for child in children)]
-        error = max(ERROR_OF_SIGMA * _mean_sigma(content),
-                    *(child.error for child in children))
-        return Tile(name, content, np.min([box[0] for box in boxes], axis=0),
-                    np.max([box[1] for box in boxes], axis=0), error, children)
+        parts = [rows]
+        for _ in range(3):  # into two to eight
+            parts = [half for part in parts for half in (
+                halves(positions, part) if len(part) > limit else (part,))]
+        children = [build(f"{name}{number}", part) for number, part in enumerate(parts)]
+        content = decimated(merged([child.gaussians for child in children]), limit)
+        low, high = _box(content)
+        return Tile(name, content, np.min([low, *(child.low for child in children)], axis=0),
+                    np.max([high, *(child.high for child in children)], axis=0),
+                    max(ERROR_OF_SIGMA * _mean_sigma(content),
+                        *(child.error for child in children)), children)
 
-    return build("0", Cell(np.arange(gaussians.count), np.full(3, -np.inf), np.full(3, np.inf)))
+    return build("0", np.arange(gaussians.count))
 
 
 def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians, compressed: bool = True,
                     progress: Callable[[int, int], object] | None = None) -> Tile:
-    """Write the model of a run as 3D Tiles, with SIG's levels where the run kept them.
+    """Write the model of a run as 3D Tiles.
 
     Parameters
     ----------
     folder : a new or empty folder, which appears as a whole.
-    run : tells the levels, what is up, and the georeference.
+    run : has what is up, and the georeference.
     gaussians : its finished model or a part of it.
     compressed, progress : see `write_tiles`.
 
     Raises
     ------
-    InputError : the folder is not empty, or pyproj is missing for a georeferenced run.
+    InputError : the folder is not empty.
     """
     with new_folder(folder) as partial:
-        up = run.up
-        model = upright(gaussians, up)
-        placement(model.offset, run.georeference)  # that pyproj is missing is told before the work
-        levels = [upright(read_ply(path, gaussians.offset).with_sh_degree(model.sh_degree), up)
-                  for _, path in reversed(run.folder.snapshots())]
-        tree = tile_tree(model, levels)
+        tree = tile_tree(upright(gaussians, run.up))
         write_tiles(partial, tree, run.georeference, compressed, progress,
                     (mode_comment(run.options.antialiased),))
     return tree
@@ -169,17 +150,16 @@ def write_tiles(folder: Path, tree: Tile, georeference: Georeference | None = No
     tiles = list(tree.all())
     for number, tile in enumerate(tiles, 1):
         if compressed:
-            write_spz_glb(folder / _uri(tile), tile.gaussians, comments)
+            write_spz_glb(folder / tile.uri, tile.gaussians, comments)
         else:
-            write_glb(folder / _uri(tile), tile.gaussians.located(np.zeros(3)),
+            write_glb(folder / tile.uri, tile.gaussians.located(np.zeros(3)),
                       Notes(tuple(comments), Z_UP))
         if progress:
             progress(number, len(tiles))
-    transform, used = placement(tree.gaussians.offset, georeference), [EXTENSION]
+    transform = placement(tree.gaussians.offset, georeference)
     transform[:3, :3] = transform[:3, :3] @ TURNS[compressed]
-    if compressed:
-        used.append(COMPRESSION)
-    tileset = {
+    used = [EXTENSION, COMPRESSION] if compressed else [EXTENSION]
+    write_object(folder / TILESET, {
         "asset": {"version": "1.1", "generator": "clsplat"},
         "extensionsUsed": ["3DTILES_content_gltf"],
         # Cesium decides by this how to load the content
@@ -187,38 +167,27 @@ def write_tiles(folder: Path, tree: Tile, georeference: Georeference | None = No
                                                 "extensionsRequired": used}},
         "geometricError": float(np.linalg.norm(tree.high - tree.low)),
         "root": {"transform": transform.T.ravel().tolist(), "refine": "REPLACE",
-                 **_record(tree, TURNS[compressed])}}
-    with replacing(folder / TILESET) as file:
-        file.write(json.dumps(tileset, indent=1, allow_nan=False).encode())
+                 **_record(tree, TURNS[compressed])}})
 
 
 def placement(offset: NDArray[np.float64], georeference: Georeference | None
               ) -> NDArray[np.float64]:
-    """[4, 4]: from the coordinates of upright gaussians to those of the earth or the scene.
+    """[4, 4]: from the coordinates of upright gaussians, with this original offset [3], to the
+    earth; without a georeference to original coordinates.
 
     The axes of a projected CRS are not quite east and north, nor its unit quite a metre, so they
     are measured on the earth, around the offset.
-
-    Parameters
-    ----------
-    offset : [3], original coordinates of the tiles' origin.
-    georeference : of the original coordinates; None: into those.
     """
     matrix = np.eye(4)
     if georeference is None:
         matrix[:3, 3] = offset
     else:
         to_earth = conversion(georeference.crs, ECEF, "3D Tiles of a georeferenced model")
-        place = georeference.to_map(offset)
-        ends = place + BASELINE * np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))])
-        found = to_earth(ends)
+        found = to_earth(georeference.to_map(offset) + BASELINE * np.concatenate(
+            [np.eye(3), -np.eye(3), np.zeros((1, 3))]))
         matrix[:3, :3] = (found[:3] - found[3:6]).T / (2 * BASELINE)
         matrix[:3, 3] = found[6]
     return matrix
-
-
-def _uri(tile: Tile) -> str:
-    return f"{CONTENT}/{tile.name}.glb"
 
 
 def _record(tile: Tile, turn: NDArray[np.float64]) -> dict[str, Any]:
@@ -227,7 +196,7 @@ def _record(tile: Tile, turn: NDArray[np.float64]) -> dict[str, Any]:
     half = np.diag((tile.high - tile.low) / 2)
     record: dict[str, Any] = {
         "boundingVolume": {"box": [*centre.tolist(), *half.ravel().tolist()]},
-        "geometricError": tile.error, "content": {"uri": _uri(tile)}}
+        "geometricError": tile.error, "content": {"uri": tile.uri}}
     if tile.children:
         record["children"] = [_record(child, turn) for child in tile.children]
     return record
@@ -238,42 +207,6 @@ def _box(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]
     reach = REACH * np.linalg.norm(half_axes(gaussians), axis=2)
     positions = gaussians.positions.astype(np.float64)
     return (positions - reach).min(axis=0), (positions + reach).max(axis=0)
-
-
-def _parted(cell: Cell, positions: NDArray[np.float64], limit: int) -> list[Cell]:
-    """A cell in two to eight parts, halved three times where it has more than `limit` gaussians.
-
-    Halves have equal numbers of gaussians, so that far outliers do not make tiles of their own.
-    """
-    parts = [cell]
-    for _ in range(3):
-        parts = [half for part in parts for half in (
-            _halves(part, positions) if len(part.rows) > limit else [part])]
-    return parts
-
-
-def _halves(cell: Cell, positions: NDArray[np.float64]) -> list[Cell]:
-    """Two cells, on both sides of a plane across the longest side of most gaussians of a cell."""
-    within = positions[cell.rows]
-    ends = np.quantile(within, (TAIL_SHARE, 1 - TAIL_SHARE), axis=0)
-    axis = int(np.argmax(ends[1] - ends[0]))
-    half = len(within) // 2
-    order = np.argpartition(within[:, axis], half)
-    plane = within[order[half], axis]
-    below, above = cell.high.copy(), cell.low.copy()
-    below[axis] = above[axis] = plane
-    return [Cell(np.sort(cell.rows[order[:half]]), cell.low, below),
-            Cell(np.sort(cell.rows[order[half:]]), above, cell.high)]
-
-
-def _level_in(levels: Sequence[tuple[Gaussians, NDArray[np.float64]]], cell: Cell, limit: int
-              ) -> Gaussians | None:
-    """The gaussians of the finest level in a cell that a tile has room for, if they suffice."""
-    for gaussians, positions in levels:
-        inside = np.flatnonzero(((positions >= cell.low) & (positions < cell.high)).all(axis=1))
-        if len(inside) <= limit:
-            return selected(gaussians, inside) if len(inside) >= LEAST_SHARE * limit else None
-    return None
 
 
 def _mean_sigma(gaussians: Gaussians) -> float:

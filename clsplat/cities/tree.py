@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.cities.lod import CELL_GAUSSIANS, TAIL_SHARE, frequency
+from clsplat.cities.lod import CELL_GAUSSIANS, frequency
 from clsplat.cities.merge import Merged, merge
 from clsplat.edit.decimate import decimated
-from clsplat.edit.select import merged, selected
+from clsplat.edit.select import TAIL_SHARE, halves, merged, selected
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.tree import TreeWriter, writing_tree
 from clsplat.io.runs.city import CityFolder
@@ -108,21 +108,12 @@ def parted(positions: NDArray[np.floating], rows: NDArray[np.intp], most: int
     """
     parts = [rows]
     while len(parts) < FANOUT:
-        halves = [half for part in parts for half in (
-            _halves(positions, part) if len(part) > most else (part,))]
-        if len(halves) == len(parts):
+        smaller = [half for part in parts for half in (
+            halves(positions, part) if len(part) > most else (part,))]
+        if len(smaller) == len(parts):
             break
-        parts = halves
+        parts = smaller
     yield from parts
-
-
-def _halves(positions: NDArray[np.floating], rows: NDArray[np.intp]
-            ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    within = positions[rows]
-    ends = np.quantile(within, (TAIL_SHARE, 1 - TAIL_SHARE), axis=0)
-    axis, half = int(np.argmax(ends[1] - ends[0])), len(rows) // 2
-    order = np.argpartition(within[:, axis], half)
-    return np.sort(rows[order[:half]]), np.sort(rows[order[half:]])
 
 
 def merge_tree(path: Path, city: CityFolder, scene: Scene, sh_degree: int, fill: bool = False

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from clsplat.cli.flags import FiniteRange, check_free, everything_flag
+from clsplat.cli.flags import check_free, everything_flag
 from clsplat.errors import InputError
-
-if TYPE_CHECKING:
-    from clsplat.cli.progress import Progress
-    from clsplat.evaluation.run import Run
 
 
 @click.command()
@@ -27,19 +22,13 @@ if TYPE_CHECKING:
               "expect. It then no longer fits the scene's cameras.")
 @click.option("--plain-tiles", is_flag=True, help="For 3D Tiles: write floats, without the "
               "compression that CesiumJS needs.")
-@click.option("--sh-degree", type=click.Choice(("all", "auto", "0", "1", "2", "3")), default="all",
-              show_default=True, help="Highest degree of the spherical harmonics to write; auto: "
-              "the lowest that costs the held-out views less than --sh-cost.")
-@click.option("--sh-cost", type=FiniteRange(min=0), default=0.05, show_default=True,
-              help="Loss of PSNR, dB, that --sh-degree auto allows.")
+@click.option("--sh-degree", type=click.IntRange(0, 3), default=3, show_default=True,
+              help="Highest degree of the spherical harmonics to write.")
 @everything_flag
-@click.option("--device", default="auto", show_default=True,
-              help="For --sh-degree auto: as for `clsplat eval`.")
 @click.option("--scene", type=click.Path(path_type=Path),
-              help="For a page and --sh-degree auto: where the scene is now, if it was moved.")
+              help="For a page: where the scene is now, if it was moved.")
 def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles: bool,
-           sh_degree: str, sh_cost: float, everything: bool, device: str, scene: Path | None
-           ) -> None:
+           sh_degree: int, everything: bool, scene: Path | None) -> None:
     """Write the gaussians of RUN to a file for other programs.
 
     They are in the world coordinates of the scene; in .las and .laz, in map coordinates if it is
@@ -66,10 +55,8 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
     with Progress() as progress:
         progress.phase(f"reading {run}")
         gaussians = opened.finished_model  # reads all of it: a damaged model is not passed on
-        keep, degree = alive(gaussians), 0
-        if has_harmonics:
-            degree = min(used_sh_degree(gaussians), _wanted_degree(
-                sh_degree, opened, gaussians.sh_degree, device, sh_cost, scene, progress))
+        keep = alive(gaussians)
+        degree = min(used_sh_degree(gaussians), sh_degree) if has_harmonics else 0
         if not keep.any():
             what = (f"all {len(keep):,} gaussians are too faint to be seen" if len(keep)
                     else "is empty")
@@ -111,22 +98,3 @@ def _check_format(output: Path, is_other: bool, upright: bool, plain_tiles: bool
         raise InputError("--plain-tiles: is for a folder of 3D Tiles; leave it out, or name an "
                          "--output without a suffix")
     return is_other or written_format(output).harmonics
-
-
-def _wanted_degree(wanted: str, opened: Run, highest: int, device: str, cost: float,
-                   scene: Path | None, progress: Progress) -> int:
-    """The degree that --sh-degree asks for, of a model that has `highest`."""
-    from clsplat.apps.models import needed_sh_degree
-    from clsplat.device import choose_device
-    if wanted == "all":
-        return highest
-    if wanted == "auto":
-        progress.phase("comparing degrees of spherical harmonics")
-        degree, scores = needed_sh_degree(opened, choose_device(device), cost, scene)
-        progress.message("held-out PSNR, dB: " + ", ".join(
-            f"degree {number} {score:.3f}" for number, score in enumerate(scores)))
-        return degree
-    if int(wanted) > highest:
-        raise InputError(f"{opened.folder.model_path}: has spherical harmonics up to degree "
-                         f"{highest}, not {wanted}; give a lower degree")
-    return int(wanted)

@@ -12,6 +12,7 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.models.values import opacities
 
 NEAR = 10.0  # times the median distance of a gaussian to the nearest other: who is a neighbour
+TAIL_SHARE = 0.01  # of positions at each end of each axis that do not make a part long
 Polygon = Sequence[NDArray[np.float64]]  # its outline and its holes, [K, 2] each
 
 
@@ -71,6 +72,17 @@ def neighbours(gaussians: Gaussians, most: int) -> NDArray[np.intp]:
                         distance_upper_bound=np.nextafter(NEAR * spacing, np.inf))[0]
     count: NDArray[np.intp] = np.isfinite(within).sum(axis=1) - 1  # without itself
     return count
+
+
+def halves(positions: NDArray[np.floating], rows: NDArray[np.intp]
+           ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows of positions [N, 3], ascending, on both sides of a plane across the longest side of most
+    of them: equal numbers, so that far outliers do not make parts of their own."""
+    within = positions[rows]
+    low, high = np.quantile(within, (TAIL_SHARE, 1 - TAIL_SHARE), axis=0)
+    half = len(rows) // 2
+    order = np.argpartition(within[:, np.argmax(high - low)], half)
+    return np.sort(rows[order[:half]]), np.sort(rows[order[half:]])
 
 
 def merged(models: Sequence[Gaussians]) -> Gaussians:

@@ -53,10 +53,6 @@ def written(tmp_path, tree, georeference=None, compressed=False):
     return tileset, tiles
 
 
-def sorted_rows(values):
-    return values[np.lexsort(values.T)]
-
-
 @pytest.mark.parametrize("compressed", [False, True])
 def test_the_leaves_hold_every_gaussian_once(tmp_path, compressed):
     model = cloud(1000, sh_degree=1, size=0.02, offset=(7.0, -3.0, 100.0))
@@ -76,21 +72,6 @@ def test_the_leaves_hold_every_gaussian_once(tmp_path, compressed):
     assert (len(extension) == 2) == compressed
     assert len(list(tmp_path.glob("tiles/*.glb"))) == len(tiles)
     assert tileset["asset"]["version"] == "1.1" and tileset["root"]["refine"] == "REPLACE"
-
-
-@pytest.mark.parametrize("compressed", [False, True])
-def test_boxes_and_errors_hold_what_is_below(tmp_path, compressed):
-    tree = tile_tree(cloud(700, size=0.02), limit=50)
-    tileset, tiles = written(tmp_path, tree, None, compressed)
-    by_uri = {record["content"]["uri"]: local for record, _, local, _ in tiles}
-    for record, *_ in tiles:
-        low, high = ends_of(record)
-        for child in below(record):
-            places = by_uri[child["content"]["uri"]]
-            assert (places >= low - 1e-5).all() and (places <= high + 1e-5).all()
-            assert child["geometricError"] <= record["geometricError"]
-        assert (record["geometricError"] > 0) == ("children" in record)
-    assert tileset["geometricError"] > tileset["root"]["geometricError"]
 
 
 def below(record):
@@ -130,6 +111,7 @@ def test_the_tileset_keeps_the_rules_of_3d_tiles(tmp_path, compressed):
         path = tmp_path / record["content"]["uri"]
         assert path.is_file() and path.resolve().is_relative_to(tmp_path.resolve())
         assert record.get("children") != []
+        assert (record["geometricError"] > 0) == ("children" in record)
         for child in record.get("children", ()):
             assert child["geometricError"] < record["geometricError"]
             assert "refine" not in child or child["refine"] in ("ADD", "REPLACE")
@@ -166,14 +148,6 @@ def test_tiles_say_how_their_model_was_trained(tmp_path, compressed):
         write_tiles(tmp_path / name, tile_tree(cloud(5)), None, compressed, comments=comments)
         tile = tmp_path / name / "tiles" / "0.glb"
         assert read_notes(tile).antialiased == (name == "mip")
-
-
-def test_levels_of_sig_take_the_place_of_merged_gaussians():
-    model, level = cloud(400, size=0.02), cloud(40, seed=7, size=0.1)
-    tree = tile_tree(model, [level], limit=50)
-    assert sorted_rows(tree.gaussians.positions).tolist() == sorted_rows(level.positions).tolist()
-    without = tile_tree(model, [cloud(9, seed=7)], limit=50)  # too few
-    assert without.gaussians.count == 50
 
 
 def test_tiles_stand_upright():
