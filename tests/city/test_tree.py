@@ -137,7 +137,7 @@ def test_damaged_trees_are_refused(tree, tmp_path):
     for damaged in (b"", b"ply\n", whole[:-1], whole[1:], whole + b"\0",
                     whole[:place + 90] + b"\xff" + whole[place + 91:]):
         path.write_bytes(damaged)
-        with pytest.raises(InputError, match="damaged.tree: no tree of gaussians"):
+        with pytest.raises(InputError, match="damaged.tree: not a tree of gaussians"):
             Tree(path)
     with pytest.raises(InputError, match="missing.tree"):
         Tree(tmp_path / "missing.tree")

@@ -1,7 +1,7 @@
 """A model as a tree of gaussians in one file, of which any node can be read without the others.
 
 The leaves hold every gaussian of the model once. A node above holds fewer, larger ones, which
-replace those of its children where these would be too small to see.
+replace those of its children if these would be too small to see.
 
 The file begins with HEADER. Each node then has its rows, one field of ORDER after the other, as
 float32; a node stands behind its children. The index comes last: a line of JSON and the table of
@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.errors import InputError
-from clsplat.gaussians import LEARNED, Field, Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.reason import reason
+from clsplat.io.fields import reading
 from clsplat.io.records import object_of
 
 TREE = "point_cloud.tree"  # in the folder of a run
+KIND, CURE = "a tree of gaussians", "write it again with `clsplat merge --tree`"
 HEADER = struct.Struct("<16sQQI")  # MAGIC; where the index begins, its bytes and its CRC-32
 MAGIC = b"clsplat tree 1\n\0"
 # what decides whether a gaussian is drawn comes first
@@ -48,13 +48,9 @@ Numbers = NDArray[np.float32]
 class TreeWriter:
     """Writes the nodes of a tree; see `writing_tree`.
 
-    Parameters
-    ----------
-    file : open for writing at its end, with room for the header before.
-    sh_degree : of all gaussians.
-
     Attributes
     ----------
+    sh_degree : of all gaussians.
     nodes : NODE, one each, of what is written.
     """
 
@@ -72,18 +68,17 @@ class TreeWriter:
         facts : the fields of NODE from `low` on.
         children : numbers of nodes that it replaces.
         """
-        number, content = len(self.nodes), gaussians.with_sh_degree(self.sh_degree)
+        content = gaussians.with_sh_degree(self.sh_degree)
         node = np.zeros((), NODE)
-        node["place"], node["count"] = self._file.tell(), content.count
-        node["parent"] = NO_PARENT
-        for name, values in facts.items():
+        known = {"place": self._file.tell(), "count": content.count, "parent": NO_PARENT}
+        for name, values in {**known, **facts}.items():
             node[name] = values
         for name in ORDER:
             self._file.write(np.ascontiguousarray(content.rows[name], "<f4").data)
         for child in children:
-            self.nodes[child]["parent"] = number
+            self.nodes[child]["parent"] = len(self.nodes)
         self.nodes.append(node)
-        return number
+        return len(self.nodes) - 1
 
     def read(self, number: int) -> Gaussians:
         """The content of a node, from the file."""
@@ -95,11 +90,11 @@ class TreeWriter:
 
 @contextmanager
 def writing_tree(path: Path, sh_degree: int, offset: ArrayLike) -> Iterator[TreeWriter]:
-    """Write a tree, which appears as a whole when the block ends.
+    """Write a tree, which replaces an existing file as a whole when the block ends.
 
     Parameters
     ----------
-    path : the file; an existing one is replaced.
+    path : the file.
     sh_degree : of the gaussians.
     offset : float64[3], the origin of their coordinates in the original ones.
 
@@ -142,17 +137,12 @@ class Tree:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        try:
+        with reading(path, KIND, CURE):
             # it stays open: a tree that replaces this one does not change what is read
             self._file = open(path, "rb")  # noqa: SIM115
             record, self.nodes = _index(self._file)
-            self.sh_degree, self.offset = int(record["sh_degree"]), np.array(
-                record["offset"], np.float64).reshape(3)
-            _check(self.nodes, self.sh_degree, os.fstat(self._file.fileno()).st_size)
-        except (OSError, ValueError, KeyError, TypeError, struct.error) as error:
-            raise InputError(f"{self.path}: no tree of gaussians, damaged or cut short "
-                             f"({reason(error)}); write it again with `clsplat merge --tree`"
-                             ) from None
+            self.sh_degree = int(record["sh_degree"])
+            self.offset = np.array(record["offset"], np.float64).reshape(3)
         parents = self.nodes["parent"][:-1]
         self.children = (np.searchsorted(np.sort(parents), np.arange(len(self.nodes) + 1)),
                          np.argsort(parents, kind="stable"))
@@ -161,11 +151,8 @@ class Tree:
 
     def read(self, number: int, name: str) -> Numbers:
         """float32[n, *row shape]: the rows of a field of a node."""
-        try:
+        with reading(self.path, KIND, CURE):
             return _read(self._file, self.nodes[number], self.sh_degree, name)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{self.path}: cannot be read ({reason(error)}); write it again with "
-                             "`clsplat merge --tree`") from None
 
 
 def row_bytes(sh_degree: int) -> int:
@@ -174,37 +161,30 @@ def row_bytes(sh_degree: int) -> int:
 
 
 def _index(file: BufferedReader) -> tuple[dict[str, Any], NDArray[Any]]:
-    magic, place, size, crc = HEADER.unpack(file.read(HEADER.size))
-    if magic != MAGIC:
-        raise ValueError("its header is that of another format")
-    if place + size != os.fstat(file.fileno()).st_size:
-        raise ValueError("its size is not that in its header")
+    """The record and the nodes of a file, which fit each other and its size."""
+    magic, place, length, crc = HEADER.unpack(file.read(HEADER.size))
+    size = os.fstat(file.fileno()).st_size
+    if magic != MAGIC or place + length != size:
+        raise ValueError("its header is that of another format or size")
     file.seek(place)
-    index = file.read(size)
+    index = file.read(length)
     if zlib.crc32(index) != crc:
         raise ValueError("its index has another checksum")
     line, _, table = index.partition(b"\n")
-    record = object_of(line)
-    nodes = np.frombuffer(table, NODE)
+    record, nodes = object_of(line), np.frombuffer(table, NODE)
     if not len(nodes) or len(nodes) != record["nodes"]:
         raise ValueError("it has no nodes")
+    ends = nodes["place"].astype(np.float64) + row_bytes(record["sh_degree"]) * nodes["count"]
+    parents, behind = nodes["parent"].astype(np.int64), np.arange(1, len(nodes))
+    if (record["sh_degree"] not in range(4) or (ends > size).any() or parents[-1] != NO_PARENT
+            or (parents[:-1] < behind).any() or (parents[:-1] >= len(nodes)).any()):
+        raise ValueError("its index does not fit")
     return record, nodes
 
 
-def _check(nodes: NDArray[Any], sh_degree: int, size: int) -> None:
-    if sh_degree not in range(4):
-        raise ValueError("its harmonics have no degree from 0 to 3")
-    ends = nodes["place"].astype(np.float64) + row_bytes(sh_degree) * nodes["count"]
-    parents = nodes["parent"].astype(np.int64)
-    if (ends > size).any() or parents[-1] != NO_PARENT or not (
-            (parents[:-1] > np.arange(len(nodes) - 1)) & (parents[:-1] < len(nodes))).all():
-        raise ValueError("its index does not fit")
-
-
 def _read(file: BufferedReader, node: NDArray[Any], sh_degree: int, name: str) -> Numbers:
-    field: Field = FIELDS[name]
     before = sum(FIELDS[other].width(sh_degree) for other in ORDER[:ORDER.index(name)])
-    values = np.empty((int(node["count"]), *field.row_shape(sh_degree)), "<f4")
+    values = np.empty((int(node["count"]), *FIELDS[name].row_shape(sh_degree)), "<f4")
     file.seek(int(node["place"]) + 4 * before * int(node["count"]))
     if values.size and file.readinto(values.data.cast("B")) != values.nbytes:
         raise ValueError("it ends early")
