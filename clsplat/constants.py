@@ -1,5 +1,5 @@
 """The numbers that host and kernels share, each written once: `SHARED` becomes -D of every build
-(clsplat/device/source.py). What only kernels know stands in cl/, what only the host knows in its
+(clsplat/device/programs.py). What only kernels know stands in cl/, what only the host knows in its
 module.
 """
 

@@ -3,7 +3,7 @@
 PoCL's cache is not safe across processes, so that each worker has one of its own; what one worker
 compiled, the others get by links, when they begin and between two files of tests. A file of the
 cache is whole when it is there, since PoCL renames it into place. Intel's runtime needs none of
-this: `clsplat/device/binaries.py`.
+this: `clsplat/device/programs.py`.
 """
 
 import os

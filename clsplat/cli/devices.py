@@ -63,9 +63,9 @@ def _notes(entry: ListedDevice) -> list[str]:
 def _passes(entry: ListedDevice) -> bool:
     """Run and print the self-test of one device; whether all its checks passed."""
     from clsplat.bench.selftest import check
-    from clsplat.device import open_device
+    from clsplat.device import choose_device
     click.echo(f"\nself-test of {entry.index}, {entry.name} ({entry.platform})")
-    results = check(open_device(entry.index))
+    results = check(choose_device(str(entry.index)))
     for name, passed, detail in results:
         click.echo(f"  {'ok    ' if passed else 'FAILED'}  {name}: {detail}")
     return all(passed for _, passed, _ in results)

@@ -5,52 +5,53 @@ at least 64. A feature that a driver lists may not work, so only what has run co
 """
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
-_DOUBLE = """
+_KERNEL = """
+#ifdef cl_khr_fp64
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
-__kernel void probe(__global float *x) {
-    x[get_local_id(0)] = (float)((double)get_local_id(0) + 1e-12 > (double)get_local_id(0));
-}"""
-_NATIVE_EXP = """
-__kernel void probe(__global float *x) {
-    x[get_local_id(0)] = native_exp2(-0.26f * (float)get_local_id(0));
-}"""
-_NATIVE_DIVIDE = """
-__kernel void probe(__global float *x) {
+#endif
+__kernel void probe(__global float *x)
+{
     const float lane = get_local_id(0);
-    x[get_local_id(0)] = native_divide(lane - 7.3f, 0.03f * lane + 0.01f);
+    %s;
 }"""
-_PREFETCH = """
-__kernel void probe(__global float *x) {
-    __builtin_prefetch((const void *)(size_t)(x + get_local_id(0)));
-    x[get_local_id(0)] = get_local_id(0);
-}"""
-_PLAIN = """
-__kernel void probe(__global float *x) { x[get_local_id(0)] = exp(1.0f) + get_local_id(0); }"""
+_LANE = np.arange(32, dtype=np.float32)
+_PLAIN = "x[get_local_id(0)] = exp(1.0f) + lane", np.e + _LANE
+_FEATURES = {  # preprocessor name -> what a kernel does, and its result
+    "HAVE_DOUBLE": ("x[get_local_id(0)] = (float)((double)lane + 1e-12 > (double)lane)",
+                    np.ones(32)),
+    "HAVE_NATIVE_EXP": ("x[get_local_id(0)] = native_exp2(-0.26f * lane)", np.exp2(-0.26 * _LANE)),
+    "HAVE_NATIVE_DIVIDE": ("x[get_local_id(0)] = native_divide(lane - 7.3f, 0.03f * lane + 0.01f)",
+                           (_LANE - 7.3) / (0.03 * _LANE + 0.01)),
+    "HAVE_PREFETCH": ("__builtin_prefetch((const void *)(size_t)(x + get_local_id(0))); "
+                      "x[get_local_id(0)] = lane", _LANE)}
 
 
-def _run(context: cl.Context, handle: cl.Device, source: str, expected: ArrayLike) -> bool:
-    """Whether `source` builds and its kernel writes `expected` with one group of 32."""
+def _built(context: cl.Context, work: str) -> cl.Kernel:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        return cl.Kernel(cl.Program(context, _KERNEL % work).build(), "probe")
+
+
+def _works(context: cl.Context, handle: cl.Device, work: str, expected: NDArray[Any]) -> bool:
+    """Whether a kernel with one group of 32 builds and writes what is expected."""
     queue = cl.CommandQueue(context, handle)
     result = np.full(32, -1, np.float32)
     buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, result.nbytes)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", cl.CompilerWarning)
-        program = cl.Program(context, source).build()
-    cl.Kernel(program, "probe")(queue, (32,), (32,), buffer)
+    _built(context, work)(queue, (32,), (32,), buffer)
     cl.enqueue_copy(queue, result, buffer)
     return bool(np.allclose(result, expected, rtol=2e-6))
 
 
 def probe_working(handle: cl.Device) -> str:
     """Why the device does not work, or "" if a two-line kernel gave the right results."""
-    lane = np.arange(32, dtype=np.float32)
     try:
-        works = _run(cl.Context([handle]), handle, _PLAIN, np.e + lane)
+        works = _works(cl.Context([handle]), handle, *_PLAIN)
     except cl.Error as error:
         text = " ".join(str(error).split())
         return f"a two-line kernel fails: {text[:160]}"
@@ -67,10 +68,7 @@ def probe_wave(context: cl.Context, handle: cl.Device) -> int:
     """
     if not handle.type & cl.device_type.GPU:
         return 32
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", cl.CompilerWarning)
-        kernel = cl.Kernel(cl.Program(context, _PLAIN).build(), "probe")
-    multiple = kernel.get_work_group_info(
+    multiple = _built(context, _PLAIN[0]).get_work_group_info(
         cl.kernel_work_group_info.PREFERRED_WORK_GROUP_SIZE_MULTIPLE, handle)
     return 64 if multiple == 64 else 32
 
@@ -84,18 +82,11 @@ def may_prefetch(handle: cl.Device) -> bool:
 
 def probe_capabilities(context: cl.Context, handle: cl.Device) -> dict[str, bool]:
     """The preprocessor names of optional features, and whether each one works."""
-    lane = np.arange(32, dtype=np.float32)
-    tests = {"HAVE_DOUBLE": (_DOUBLE, np.ones(32)),
-             "HAVE_NATIVE_EXP": (_NATIVE_EXP, np.exp2(-0.26 * lane)),
-             "HAVE_NATIVE_DIVIDE": (_NATIVE_DIVIDE, (lane - 7.3) / (0.03 * lane + 0.01)),
-             "HAVE_PREFETCH": (_PREFETCH, lane)}
     works = {}
-    if not may_prefetch(handle):
-        del tests["HAVE_PREFETCH"]
-        works["HAVE_PREFETCH"] = False
-    for name, (source, expected) in tests.items():
+    for name, feature in _FEATURES.items():
         try:
-            works[name] = _run(context, handle, source, expected)
+            works[name] = (name != "HAVE_PREFETCH" or may_prefetch(handle)) and _works(
+                context, handle, *feature)
         except cl.Error:
             works[name] = False
     return works

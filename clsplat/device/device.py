@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 import warnings
-import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -16,13 +15,11 @@ import pyopencl as cl
 import pyopencl.tools
 from numpy.typing import ArrayLike, DTypeLike
 
-from clsplat.device import binaries
-from clsplat.device.arena import Arena, Block
-from clsplat.device.array import Array
+from clsplat.device.array import Arena, Array, Block, LiveBytes
 from clsplat.device.capabilities import probe_capabilities, probe_wave
 from clsplat.device.graph import Graph
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Defines, Kernel
-from clsplat.device.source import define_options, kernel_source, words_of
+from clsplat.device.programs import Build, build, define_options, kernel_source, words_of
 from clsplat.device.tuning import tuning_of
 from clsplat.errors import TOO_LARGE, DeviceError, OutOfDeviceMemory
 
@@ -86,7 +83,7 @@ class Device:
         self._persistent = LiveBytes()
         self.peak_bytes = 0
         self._kernels: dict[tuple[Kernel, Defines, Defines], cl.Kernel] = {}
-        self._programs: dict[tuple[str, Defines], binaries.Build] = {}
+        self._programs: dict[tuple[str, Defines], Build] = {}
         # built -> types of its scalar arguments, kernels like it that no recording uses
         self._spares: dict[cl.Kernel, tuple[list[Any], list[cl.Kernel]]] = {}
         self.build_seconds = 0.0
@@ -273,7 +270,7 @@ class Device:
             try:
                 with warnings.catch_warnings():  # runtimes warn of every successful build
                     warnings.simplefilter("ignore", cl.CompilerWarning)
-                    program, checked = binaries.build(
+                    program, checked = build(
                         self.context, self.handle, kernel_source(file), options, kernel,
                         [contract for other in Kernel.declared[file]
                          if (contract := other.contract(self, defines))])
@@ -322,24 +319,3 @@ class Device:
                 times.setdefault(function, []).append(seconds)
         finally:
             self._profile = None
-
-
-class LiveBytes:
-    """Counts the bytes of arrays that are still alive, without a list of them: there may be
-    thousands.
-
-    Attributes
-    ----------
-    nbytes : the sum over the arrays that were added and still exist.
-    """
-
-    def __init__(self) -> None:
-        self.nbytes = 0
-
-    def add(self, array: Array) -> None:
-        """Count an array for as long as it lives."""
-        self.nbytes += array.nbytes
-        weakref.finalize(array, self._drop, array.nbytes).atexit = False
-
-    def _drop(self, nbytes: int) -> None:
-        self.nbytes -= nbytes

@@ -1,6 +1,7 @@
 """Lists all devices, tests which of them work, and chooses one."""
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +22,7 @@ class ListedDevice:
 
     Attributes
     ----------
-    index : its number for `open_device`.
+    index : its number, as --device takes it.
     handle : pyopencl's device; None for a platform without devices.
     type : "gpu", "cpu", "accelerator", or "-" for a platform without devices.
     reason, cure : why it does not work, and what to do about that.
@@ -57,15 +58,13 @@ def list_devices() -> list[ListedDevice]:
 def _enumerate() -> list[ListedDevice]:
     """Every device, not yet tested, in the order of the platforms."""
     entries: list[ListedDevice] = []
-    try:
+    platforms: list[Any] = []
+    with suppress(cl.LogicError):  # raised where there is no platform
         platforms = cl.get_platforms()
-    except cl.LogicError:  # raised where there is no platform
-        return entries
     for platform in platforms:
-        try:
-            handles: list[Any] = platform.get_devices()
-        except cl.Error:
-            handles = []
+        handles: list[Any] = []
+        with suppress(cl.Error):
+            handles = platform.get_devices()
         for handle in handles or [None]:
             entries.append(ListedDevice(
                 len(entries), platform.name.strip(), handle.name.strip() if handle else "-",
@@ -161,8 +160,3 @@ def choose_handle(spec: str = "auto") -> Handle:
     if entries and spec != "auto":
         raise DeviceError(f"no device matches '{spec}'; `clsplat devices` lists all devices")
     raise DeviceError(NO_DEVICE)
-
-
-def open_device(index: int, **open_options: Any) -> Device:
-    """Open the device with this index in `list_devices`."""
-    return choose_device(str(index), **open_options)

@@ -40,36 +40,24 @@ def _folder_of(files: dict[str, str], name: str) -> Path:
     """A folder with these files, by their names: the same in every process of this user, so that a
     killed one leaves nothing behind; a temporary one where the user has no cache."""
     try:
-        folder = Path.home() / ".cache" / "clsplat" / "vendors" / name
-        if _is_complete(folder, files):
-            return folder
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=folder.parent))
-        _write(temporary, files)
-        try:
-            os.rename(temporary, folder)  # complete, or not at all
-        except OSError:  # another process was faster
-            shutil.rmtree(temporary, ignore_errors=True)
-        if _is_complete(folder, files):
-            return folder
+        return _written(Path.home() / ".cache" / "clsplat" / "vendors" / name, files)
     except (OSError, RuntimeError):  # not writable; or a container's user who has no home
-        pass
-    folder = Path(tempfile.mkdtemp(prefix="clsplat-icd-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    _write(folder, files)
+        folder = Path(tempfile.mkdtemp(prefix="clsplat-icd-"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        return _written(folder, files)
+
+
+def _written(folder: Path, files: dict[str, str]) -> Path:
+    """The folder, with what it lacks; other processes may do the same."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        if not (folder / name).is_file():
+            temporary = folder / f"{name}-{os.getpid()}"
+            temporary.write_text(text, encoding="utf-8")
+            temporary.replace(folder / name)
     return folder
 
 
-def _is_complete(folder: Path, files: dict[str, str]) -> bool:
-    return all((folder / name).is_file() for name in files)
-
-
-def _write(folder: Path, files: dict[str, str]) -> None:
-    for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
-
-
 register()
-# pyopencl's own cache of binaries: see clsplat/device/binaries.py
+# pyopencl's own cache of binaries: see clsplat/device/programs.py
 os.environ.setdefault("PYOPENCL_NO_CACHE", "1")

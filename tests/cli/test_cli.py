@@ -241,11 +241,11 @@ def test_the_device_table_explains_devices_that_do_not_work():
 @pytest.mark.parametrize("passed, code", [(True, 0), (False, 2)])
 def test_devices_check_runs_on_each_that_works(monkeypatch, passed, code):
     opened = []
-    module(monkeypatch, "clsplat.device", open_device=opened.append,
+    module(monkeypatch, "clsplat.device", choose_device=opened.append,
            list_devices=lambda: [entry(0, True), entry(1, False), entry(2, True)])
     module(monkeypatch, "clsplat.bench.selftest", check=lambda device: [
         ("sort", True, "fine"), ("blend", passed or len(opened) == 2, "3e-7 off")])
     result = clsplat_("devices", "--check")
-    assert (opened, result.exit_code) == ([0, 2], code)
+    assert (opened, result.exit_code) == (["0", "2"], code)
     assert ("FAILED  blend: 3e-7 off" in result.output) is not passed
     assert ("error: the self-test failed on name 0; update" in result.output) is not passed

@@ -2,7 +2,7 @@
 
 import pytest
 
-from clsplat.device.arena import MOST_SPARE, Arena, block_bytes
+from clsplat.device.array import MOST_SPARE, Arena, block_bytes
 
 
 @pytest.mark.parametrize("size, again", [(1000, True), (1000 // MOST_SPARE, True),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from clsplat.device import Device
-from clsplat.device.arena import Arena, block_bytes
+from clsplat.device.array import Arena, block_bytes
 from clsplat.device.graph import Input
 from clsplat.errors import ShapeError
 from clsplat.loss.reproject import SCALE

@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from clsplat.device import Device, Kernel, binaries, each, source
+from clsplat.device import Device, Kernel, each, programs
 from clsplat.errors import DeviceError
 from clsplat.rendering import blend
 
@@ -25,13 +25,13 @@ SWAPPED = Kernel("swapped.cl", "twice", each("count"), count="uint", results=("f
 @pytest.fixture
 def folder(float_device, tmp_path, monkeypatch):
     """Where binaries are kept: nothing yet."""
-    monkeypatch.setattr(binaries, "PLATFORMS", (float_device.handle.platform.name,))
-    monkeypatch.setattr(binaries.Path, "home", lambda: tmp_path)
+    monkeypatch.setattr(programs, "PLATFORMS", (float_device.handle.platform.name,))
+    monkeypatch.setattr(programs.Path, "home", lambda: tmp_path)
     return tmp_path / ".cache" / "clsplat" / "kernels"
 
 
 def build(device, source=SOURCE, options=("-cl-kernel-arg-info",), kernel=TWICE, others=()):
-    return binaries.build(device.context, device.handle, source, list(options), kernel, others)[0]
+    return programs.build(device.context, device.handle, source, list(options), kernel, others)[0]
 
 
 def was_compiled(program):
@@ -63,12 +63,12 @@ def test_whatever_changes_the_program_compiles_again(float_device, folder, monke
 def test_the_name_of_a_binary_covers_what_its_source_includes(
         float_device, folder, tmp_path, monkeypatch, name):
     def named():
-        texts = [source.kernel_source.__wrapped__(file) for file in ("compact.cl", "gather.cl")]
-        return [binaries._file_of(float_device.handle, text, []) for text in texts]
+        texts = [programs.kernel_source.__wrapped__(file) for file in ("compact.cl", "gather.cl")]
+        return [programs._file_of(float_device.handle, text, []) for text in texts]
 
     copy = tmp_path / "cl"
-    shutil.copytree(source.kernel_folder(), copy)
-    monkeypatch.setattr(source, "kernel_folder", lambda: copy)
+    shutil.copytree(programs.kernel_folder(), copy)
+    monkeypatch.setattr(programs, "kernel_folder", lambda: copy)
     before = named()
     with (copy / name).open("a") as file:
         file.write("// another line\n")
@@ -116,20 +116,20 @@ def test_a_home_that_cannot_be_written_costs_nothing(float_device, tmp_path, mon
 def test_a_user_without_a_home(float_device, monkeypatch, folder):
     def no_home():
         raise RuntimeError("Could not determine home directory.")
-    monkeypatch.setattr(binaries.Path, "home", no_home)
+    monkeypatch.setattr(programs.Path, "home", no_home)
     assert doubled(float_device, build(float_device)) == [2, 5]
 
 
 def test_what_was_long_unused_is_removed(float_device, folder):
     build(float_device)
     old, = folder.iterdir()
-    binaries.os.utime(old, (1, 1))
+    programs.os.utime(old, (1, 1))
     build(float_device, SOURCE + "\n")
     assert not old.exists() and len(list(folder.iterdir())) == 1
 
 
 def test_platforms_with_a_cache_of_their_own_are_left_alone(float_device, folder, monkeypatch):
-    monkeypatch.setattr(binaries, "PLATFORMS", ())
+    monkeypatch.setattr(programs, "PLATFORMS", ())
     assert was_compiled(build(float_device)) and not folder.exists()
 
 
