@@ -54,6 +54,8 @@ SCENES = {
     "near_plane": (24, 48, 40, 1, 1, False),
     "quaternions": (30, 48, 40, 1, 1, True),
     "opacities": (30, 48, 40, 1, 1, True),
+    "depths": (40, 48, 40, 1, 1, False),
+    "edge_on": (24, 48, 40, 1, 1, False),
     "many": (3000, 160, 120, 3, 3, True),
 }
 
@@ -234,6 +236,26 @@ def _opacities(rows, seen_by, rng):
                                        count).astype(float)
 
 
-_CHANGES = {"stack": _stack, "needles": _needles, "discs": _discs, "giants": _giants,
-            "specks": _specks, "grazing": _grazing, "near_plane": _near_plane,
-            "quaternions": _quaternions, "opacities": _opacities}
+def _depths(rows, seen_by, rng):
+    """From just behind the near plane to 1e6 units away, all of a few pixels."""
+    count = len(rows["positions"])
+    depth = np.exp(rng.uniform(*np.log([1.1 * NEAR, 1e6]), count))
+    pixel = rng.uniform(0.1, 0.9, (count, 2)) * [seen_by["width"], seen_by["height"]]
+    rows["log_scales"] += np.log(depth / rows["positions"][:, 2])[:, None]
+    rows["positions"] = _world(pixel, depth, seen_by)
+
+
+def _edge_on(rows, seen_by, rng):
+    """Discs of 3 pixels whose plane goes through the camera, nearly: 1e-4 from it."""
+    ray = rows["positions"] / np.linalg.norm(rows["positions"], axis=1, keepdims=True)
+    normal = np.cross(ray, rng.normal(size=ray.shape))
+    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True) + 1e-4 * ray
+    half = normal / np.linalg.norm(normal, axis=1, keepdims=True) + [0, 0, 1]  # from z to normal
+    rows["quaternions"] = np.column_stack([half[:, 2], np.cross([0, 0, 1], half)])
+    rows["log_scales"] = np.log(np.array([3, 3, 3e-6])
+                                * rows["positions"][:, 2:] / seen_by["fx"])
+
+
+_CHANGES = {"depths": _depths, "edge_on": _edge_on, "stack": _stack, "needles": _needles,
+            "discs": _discs, "giants": _giants, "specks": _specks, "grazing": _grazing,
+            "near_plane": _near_plane, "quaternions": _quaternions, "opacities": _opacities}

@@ -1,7 +1,5 @@
 """The command line: what it calls, what it prints, how it fails."""
 
-import dataclasses
-import json
 import subprocess
 import sys
 import types
@@ -15,13 +13,11 @@ import clsplat
 from clsplat.cli.devices import table
 from clsplat.cli.evaluate import summary
 from clsplat.cli.main import main
-from clsplat.cli.train import resumed_options
 from clsplat.errors import ClsplatError, DeviceError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.files import write_georeference
 from clsplat.io.runs.run import RunFolder
-from clsplat.options import resolve
 from tests.data.tiny_model import write_scene
 from tests.data.tiny_training import CITY
 
@@ -151,16 +147,6 @@ def test_up_is_not_asked_for_where_the_earth_is_known(tmp_path):
     assert result.exit_code == 2 and "so its z axis points up" in result.stderr, result.output
 
 
-@pytest.mark.parametrize("choice", [{"schedule": "dash"}, {"preset": "paper", "levels": (2, 1)},
-                                    {"time_budget": "10m", "schedule": "constant"}], ids=str)
-def test_a_record_resolves_to_itself(choice):
-    """What a choice set when the run began stays when it is resumed."""
-    options = resolve({}, choice)
-    record = json.loads(json.dumps({"scene": "city", **dataclasses.asdict(options)}))
-    assert resumed_options(record, {}) == options
-    assert resumed_options(record, {"seed": 0, "stop_at": 7}).stop_at == 7
-
-
 def test_export_names_the_formats_it_knows(tmp_path):
     result = clsplat_("export", tmp_path, "-o", "model.obj")
     assert result.exit_code == 2
@@ -183,28 +169,6 @@ def test_export_copies_a_whole_model_only(tmp_path):
     (run / "point_cloud.ply").write_bytes(model[:-9])
     assert clsplat_("export", run, "-o", output).exit_code == 2
     assert not output.exists()
-
-
-@pytest.mark.parametrize("flag, images", [("--images", True), ("--no-images", False)])
-def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
-    RunFolder.create(tmp_path).write_options({})
-    (tmp_path / "point_cloud.ply").touch()
-    asked = []
-
-    def evaluate_run(run, device, save_images, scene_path, metrics, align):
-        asked.append((run.path, device, save_images, str(scene_path), metrics, align))
-        return {"views": 1, "psnr": 1, "ssim": 1, "psnr_cc": 1, "ssim_cc": 1, "pictures": "new"}
-
-    module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
-    module(monkeypatch, "clsplat.evaluation.views", evaluate_run=evaluate_run, PANELS=(),
-           final_metrics=lambda path: f"metrics with {path}")
-    monkeypatch.setattr("clsplat.evaluation.run.Run.scene", lambda *_, **__: None)
-    module(monkeypatch, "clsplat.report.run", write_report=lambda *words: f"page with {words[1]}")
-    result = clsplat_("eval", tmp_path, flag, "--device", "cpu", "--scene", "moved",
-                      "--lpips", "net.onnx")
-    assert result.exit_code == 0, result.output
-    assert asked == [(tmp_path, "device cpu", images, "moved", "metrics with net.onnx", False)]
-    assert all((words in result.output) is images for words in ("renders", "page with new"))
 
 
 def test_eval_summary_labels_both():

@@ -35,12 +35,6 @@ def test_every_command_has_help(name):
     assert shown.endswith(".") and not shown.endswith("...")
 
 
-def test_help_begins_with_what_photos_alone_can_do():
-    first = clsplat_("--help").output.partition("Options:")[0]
-    assert first.index("train PHOTOS") < first.index("view RUN") < first.index("export RUN")
-    assert "a folder of photos" in clsplat_("train", "--help").output
-
-
 def test_help_is_short_and_help_all_is_whole():
     fields = [option.name.replace("_", "-") for option in options_of(TrainOptions)
               if option.metadata["flag"]]

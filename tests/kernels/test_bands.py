@@ -1,16 +1,13 @@
 """Frames in bands of tiles: the same bytes as in one piece, back to the gaussians."""
 
-from collections import Counter
 
 import numpy as np
 import pyopencl as cl
 import pyopencl.tools
 import pytest
 
-from clsplat.constants import FRAME_COUNTS
-from clsplat.device.array import Array
 from clsplat.errors import DeviceError, OutOfDeviceMemory
-from clsplat.rendering.bands import choose_bands, pair_limit, pair_reals
+from clsplat.rendering.bands import choose_bands
 from clsplat.rendering.bin import PAIR_LIMIT, count_tiles, tile_grid
 from clsplat.rendering.blend import Exposure
 from clsplat.rendering.contribution import contribution
@@ -62,14 +59,6 @@ def test_however_a_frame_is_cut_its_bytes_are_the_same(device, monkeypatch, name
         assert_same(expected, actual)
 
 
-@pytest.mark.one_in(2)
-def test_gaussians_have_gradients_from_every_band(device):
-    """The test above would compare little if each gaussian lay in one band."""
-    frame, _ = results(device, cases.gaussians(SPREAD))
-    counts = frame.pairs.splat_counts.download()
-    assert np.median(counts) > 0.7 * len(frame.pairs.tiles)
-
-
 @pytest.mark.parametrize("share", [0.6, 0.3, 0.15])
 @pytest.mark.one_in(5)
 def test_a_frame_above_the_limit_is_rendered_in_bands_below_it(device, share):
@@ -82,22 +71,6 @@ def test_a_frame_above_the_limit_is_rendered_in_bands_below_it(device, share):
     assert max(sizes) <= limit and sum(sizes) == whole.pairs.count
     assert 1 / share < len(frame.bands) < 2 / share + 1
     assert_same(expected, actual)
-
-
-def test_bands_without_splats_show_the_background(device):
-    case = cases.gaussians("many", count=40)
-    case["rows"]["positions"][:, 1] = abs(case["rows"]["positions"][:, 1])
-    case["camera"] = cases.camera(*size_of(case))  # upright: all splats are in the lower half
-    case["rows"]["log_scales"][:] = np.log(0.02)
-    case["rows"]["opacity_logits"][:] = 0
-    whole, expected = results(device, case)
-    tiles_x, _ = tile_grid(device, *whole.size)
-    counts = count_tiles(device, whole.splats, whole.counts, *whole.size)
-    assert not counts[:2 * tiles_x].any() and counts.any()
-    frame, actual = results(device, case, pair_limit=int(counts.max()))
-    assert len(frame.bands) > 2
-    assert_same(expected, actual)
-    assert np.allclose(actual[0][:, :32].T, case["background"])
 
 
 @pytest.mark.one_in(2)
@@ -114,70 +87,7 @@ def test_pairs_that_do_not_fit_a_buffer_come_in_bands(device, monkeypatch):
     assert_same(expected, actual)
 
 
-def test_the_limit_follows_from_the_devices_memory(device, monkeypatch):
-    """The indices, gradients and checkpoints of the pairs take a quarter of it."""
-    monkeypatch.setattr(device, "largest_buffer", 1 << 60)
-    limit = pair_limit(device, 61, 37, True)
-    assert 0 < limit < PAIR_LIMIT
-    each = 8 + sum(pair_reals(device, True)) * device.real.itemsize
-    assert 0.24 < limit * each / device.handle.global_mem_size < 0.2505
-
-
-def test_the_limit_leaves_room_in_the_largest_buffer(device, monkeypatch):
-    """The pool rounds a size up by half at most; the group form's has a bucket a tile to spare."""
-    monkeypatch.setattr(device, "largest_buffer", 1 << 20)
-    limit = pair_limit(device, 61, 37, True)
-    tiles = np.prod(tile_grid(device, 61, 37))
-    reals = {"item": 10 * limit, "group": (limit / device.bucket + tiles) * device.tile**2 * 5}
-    assert 0.66 < reals[device.form] * device.real.itemsize / (1 << 20) <= 2 / 3
-
-
-def test_an_ordinary_frame_launches_and_waits_as_if_there_were_no_bands(device, monkeypatch):
-    launched, waits, launch, download = [], [], device.launch, Array.download
-    monkeypatch.setattr(device, "launch", lambda kernel, *arguments, **values: (
-        launched.append(kernel.function), launch(kernel, *arguments, **values)))
-    monkeypatch.setattr(Array, "download", lambda array: (
-        waits.append(array.shape), download(array))[1])
-    monkeypatch.setattr(Array, "last", None)
-    case = cases.gaussians("degree_1")
-    rendered_and_back(device, case)
-    number = Counter(launched)
-    assert number["count_tiles"] == 0
-    assert waits == 2 * [(FRAME_COUNTS,)]  # visible gaussians, pairs
-    for function in ("count_pairs", "place_pairs", "emit_pairs", "blend", "blend_adjoint"):
-        assert number[function] == 1, function
-    assert number["sum_pairs"] == 0
-
-
 # --- memory
-
-
-class ExactPool:
-    """A device's pool that does not round sizes up, and remembers how much was taken at most."""
-
-    def __init__(self, device):
-        self.most = self.managed_bytes = 0
-        allocator = cl.tools.ImmediateAllocator(device.queue)
-        self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=20)
-
-    def allocate(self, size, exact=False):
-        buffer = self._pool.allocate(size)
-        self.most = max(self.most, self._pool.active_bytes)
-        return buffer
-
-
-def test_bands_hold_no_more_than_the_largest_of_them(device, monkeypatch):
-    """In one band, the frame takes more by what its other pairs need."""
-    case = cases.gaussians(SPREAD, count=400)
-    most = []
-    for limit in (1300, 10**6):
-        pool = ExactPool(device)
-        monkeypatch.setattr(device, "_pool", pool)
-        frame, _ = rendered_and_back(device, case, pair_limit=limit)
-        most.append(pool.most)
-    each = 8 + sum(pair_reals(device, True)) * device.real.itemsize
-    others = frame.pairs.count - 1300
-    assert others > 1300 and most[1] - most[0] > 0.9 * others * each
 
 
 def test_memory_that_is_refused_is_an_error_of_its_own(float_device, monkeypatch):
@@ -202,11 +112,6 @@ def test_bands_are_as_few_as_the_limit_allows(seed):
         sizes = [counts[band.start:band.stop].sum() for band in bands]
         assert max(sizes) <= limit
         assert all(size + counts[band.stop] > limit for size, band in zip(sizes, bands[:-1]))
-
-
-def test_sums_past_32_bits():
-    bands = choose_bands(np.full(10, 2**31 - 1), 2**32)
-    assert bands == tuple(range(i, i + 2) for i in range(0, 10, 2))
 
 
 def test_a_tile_above_the_limit_is_refused(device):

@@ -68,21 +68,6 @@ def test_mean_of_views(device, views, share):
         assert np.array_equal(result.rows.download(), np.where(moves, visible, NO_ROW))
 
 
-def test_a_row_stays_whatever_the_other_views_say(device):
-    """Before and after the view that broke it."""
-    def one(rows, value):
-        return Gradients({"opacity_logits": device.upload(np.full(3, value))}, None,
-                         device.upload(np.array(rows, np.uint32)),
-                         device.upload(np.arange(3, dtype=np.uint32)), new_counts(device, 3))
-
-    views = one((0, 1, 2), 1.0), one((0, NO_ROW, 2), np.nan), one((0, 1, 2), 4.0)
-    views[1].fields["opacity_logits"].write(np.array([1.0, np.nan, -5.0]))
-    used = {**dict.fromkeys(USED, 0), "opacity_logits": 1}
-    result = batch_mean(device, 3, 3, views, used)
-    assert result.rows.download().tolist() == [0, NO_ROW, 2]
-    assert np.allclose(result.fields["opacity_logits"].download()[[0, 2]], [2, 0])
-
-
 def padded(device, gradients, count, spare):
     """The same gradients with `spare` slots past the end, which say something about real rows."""
     def longer(array, filling):
@@ -126,21 +111,6 @@ def test_a_room_that_is_too_small_fails(device):
     assert found[COUNT_VISIBLE] == 0
 
 
-def test_batches_follow_each_other(device):
-    """Nothing is left of the one before, whichever rows it saw."""
-    rows = {name: device.empty((90, *shape)) for name, shape in SHAPES.items()}
-    batch = BatchMean(device, rows, 2)
-    for seed in range(3):
-        views = [a_view(device, 90, 30, 2 * seed + k)[0] for k in range(2)]
-        result = mean_of(batch, views, USED)
-        expected = batch_mean(device, 90, 2, views, USED)
-        moves = expected.rows.download() != NO_ROW
-        assert np.array_equal(result.rows.download(), expected.rows.download())
-        for name, values in result.fields.items():
-            assert np.array_equal(values.download()[moves],
-                                  expected.fields[name].download()[moves]), (seed, name)
-
-
 def test_a_view_that_failed_adds_nothing(device):
     """It is repeated, once there is room, into sums that still have the views before."""
     first, second = (a_view(device, 90, 40, seed)[0] for seed in range(2))
@@ -158,9 +128,3 @@ def test_a_view_that_failed_adds_nothing(device):
     assert np.array_equal(result.rows.download(), expected.rows.download())
     for name, values in result.fields.items():
         assert np.array_equal(values.download()[moves], expected.fields[name].download()[moves])
-
-
-def test_fields_that_nothing_uses_are_left_out(device):
-    gradients = a_view(device, 9, 5, 0)[0]
-    result = batch_mean(device, 9, 2, [gradients, gradients], {**USED, "sh_rest": 0})
-    assert set(result.fields) == {"positions", "opacity_logits"}

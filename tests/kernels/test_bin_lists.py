@@ -19,7 +19,6 @@ from clsplat.constants import (
     SPLAT_EXTENT_Y,
     SPLAT_MEAN,
 )
-from clsplat.device.array import Array
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering import bin
 from clsplat.rendering.bin import HAS_BUCKETS, TooManyPairs, bin_splats
@@ -94,11 +93,6 @@ def test_equal_depths_keep_the_order_of_rows(device, small_groups):
         check(device, rows, 61, 37, f"depths {depths}", order)
 
 
-def test_equal_depths_in_long_lists(device, small_groups):
-    rows, order = shuffled(specks(3 * RUN + 7, 0, 0), depths=[1.0, 2.0])
-    is_in_order(Binned(device, rows, 16, 16, order), order)
-
-
 def giants(rows, chosen):
     """The same rows, of which `chosen` are larger than any image."""
     rows[chosen, SPLAT_CONIC:SPLAT_EXTENT_Y + 1] = 1e-9, 0, 1e-9, 1e5
@@ -115,13 +109,6 @@ def test_splats_with_many_tiles_beside_small_ones(device, small_groups, size):
     is_in_order(binned, order, f"{size}")
     tiles = len(binned.ranges)
     assert tiles > 64 and (binned.counts == tiles).sum() == len(chosen)
-
-
-def test_splats_around_the_number_of_tiles_that_makes_them_large(device):
-    """Images of 63, 64 and 65 tiles, all of which a splat covers."""
-    for width in (63, 64, 65):
-        rows, order = shuffled(giants(rows_of(20, 16 * width, 16, sigma=(0.3, 3)), [2, 9, 19]))
-        check(device, rows, 16 * width, 16, f"{width} tiles", order)
 
 
 @pytest.mark.slow
@@ -193,21 +180,6 @@ def test_a_room_that_is_too_small_fails_the_frame(device, monkeypatch, fewer):
     assert all((values == UNWRITTEN).all() for values in lists)
 
 
-def test_a_failure_stays_and_the_largest_need_is_kept(device, monkeypatch):
-    counts = new_counts(device)
-    needs = []
-    for seed, room in enumerate((100, 10**5, 200)):
-        values = counts.download()
-        values[COUNT_VISIBLE] = 130  # a caller's mistake: a failed frame sees nothing
-        counts.write(values)
-        rows, order = shuffled(rows_of(130, 61, 37, seed=seed))
-        needs.append(Binned(device, rows, 61, 37, order).count)
-        found = in_a_room(device, monkeypatch, rows, order, room, counts)[1]
-        assert found[COUNT_FAILED] == 1 and not found[COUNT_VISIBLE] and not found[COUNT_PAIRS]
-    assert found[COUNT_NEEDED_PAIRS] == max(needs[0], needs[2])
-    assert found[COUNT_MOST_PAIRS] == max(needs)
-
-
 def test_the_sum_of_pairs_has_64_bits(device, monkeypatch):
     rows, order = shuffled(rows_of(130, 61, 37))
     counts, values = new_counts(device), np.zeros(FRAME_COUNTS, np.uint32)
@@ -231,12 +203,3 @@ def test_slots_past_the_visible_splats_have_no_pairs(device, small_groups):
     assert np.array_equal(padded.ranges, fewer.ranges)
     assert np.array_equal(padded.emission_indices, fewer.emission_indices)
     assert np.array_equal(padded.counts[:70], fewer.counts)
-
-
-def test_a_room_waits_for_nothing(device, monkeypatch):
-    rows, order = shuffled(rows_of(130, 61, 37))
-    arguments = (device.upload(rows), new_counts(device, 130),
-                 device.upload(order.astype(np.uint32)))
-    monkeypatch.setattr(Array, "download", None)
-    monkeypatch.setattr(Array, "last", None)
-    bin_splats(device, *arguments, 61, 37, room=5000)

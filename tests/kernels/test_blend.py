@@ -183,37 +183,12 @@ def test_blocks_of_rows_end_at_different_depths(device):
     assert actual.transmittance[-4:].min() > 1e-3
 
 
-def test_an_opaque_stack_ends_early(device):
-    """Every pixel of the first tile is opaque long before its list of 400 ends."""
-    splats, order = cases.splats(400, 20, 16, seed=3, opacity=(0.3, 0.9999), sigma=(6, 30))
-    actual = check(device, splats, order, (20, 16), "opaque stack")
-    assert 0 <= actual.last_contributor[:, :16].max() < 200
-    assert actual.transmittance[:, :16].max() < 0.02
-
-
-def test_pixels_of_a_tile_end_at_different_depths(device):
-    """Opaque on the left, clear on the right: batches go on for the latter only."""
-    splats, order = cases.splats(300, 16, 16, seed=4, opacity=(0.2, 0.99), sigma=(0.7, 3))
-    splats["means"][:, 0] = cases.single(splats["means"][:, 0] * 0.4)
-    actual = check(device, splats, order, (16, 16), "half opaque")
-    assert actual.transmittance.max() > 0.9 and actual.transmittance.min() < 1e-3
-
-
 def test_alpha_is_clamped_at_its_limit(device):
     """In the middle; further out the same splat is below the clamp and has a gradient."""
     splats, order = cases.splats(2, 16, 16, seed=5, sigma=(8, 12))
     splats["means"][:], splats["opacities"][:] = 8, cases.single([0.9999, 0.6])
     actual = check(device, splats, order, (16, 16), "saturated")
     assert np.allclose(actual.transmittance[8, 8], 0.01 * 0.4, rtol=0.02)
-
-
-def test_weights_and_transmittance_sum_to_one(device):
-    """White splats on white are white, however they overlap."""
-    for opacity in ((0.01, 0.1), (0.5, 1)):
-        splats, order = cases.splats(300, 48, 40, seed=6, opacity=opacity)
-        splats["colours"][:] = 1
-        actual = Blended(device, pack_splats(splats, order), (48, 40), np.ones(3))
-        assert np.allclose(actual.image, 1, atol=3e-6, rtol=0)
 
 
 def test_a_build_has_the_arguments_of_its_choices_alone(float_device):
@@ -223,41 +198,12 @@ def test_a_build_has_the_arguments_of_its_choices_alone(float_device):
     assert deep.arguments.keys() - plain.arguments.keys() == more
 
 
-def test_the_background_shows_through(device):
-    rows = pack_splats(*cases.splats(60, 48, 40, seed=7))
-    black, coloured = (Blended(device, rows, (48, 40), b) for b in (np.zeros(3), BACKGROUND))
-    expected = black.image + BACKGROUND[:, None, None] * coloured.transmittance
-    close(coloured.image, expected, precision_of(device), "background")
-    assert np.array_equal(black.depth, coloured.depth)
-
-
 def test_nothing_leaves_the_background(device):
     actual = Blended(device, np.zeros((0, 12)), (33, 17))
     assert (actual.image == BACKGROUND[:, None, None]).all()
     assert (actual.transmittance == 1).all() and (actual.last_contributor == -1).all()
     assert (actual.depth == 0).all()
     assert actual.adjoint(np.ones((3, 17, 33)), *np.ones((2, 17, 33))).shape == (0, 10)
-
-
-def test_no_cotangent_no_gradient(device):
-    actual = Blended(device, pack_splats(*cases.splats(60, 48, 40, seed=8)), (48, 40))
-    assert not actual.adjoint(np.zeros((3, 40, 48)), np.zeros((40, 48))).any()
-
-
-@pytest.mark.slow
-def test_small_tiles_give_the_same_image(group_device, monkeypatch):
-    splats, order = cases.splats(200, 61, 37, seed=9, opacity=(0.05, 0.95))
-    rows, precision = pack_splats(splats, order), precision_of(group_device)
-    large = Blended(group_device, rows, (61, 37))
-    monkeypatch.setattr(group_device, "tile", 8)
-    small = Blended(group_device, rows, (61, 37))
-    assert np.array_equal(large.image, small.image)
-    assert np.array_equal(large.depth, small.depth)
-    check(group_device, splats, order, (61, 37), "tiles of 8")
-    cotangent = np.random.default_rng(9).normal(size=(3, 37, 61)), np.ones((37, 61))
-    sums = small.adjoint(*cotangent)
-    monkeypatch.undo()
-    close(sums, large.adjoint(*cotangent), precision, "sums")
 
 
 SIZES = [(32, 32, 32), (32, 128, 64), (64, 64, 64)]

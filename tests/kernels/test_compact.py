@@ -10,7 +10,6 @@ from clsplat.constants import (
     COUNT_VISIBLE,
     PER_ITEM,
 )
-from clsplat.device.array import Array
 from clsplat.primitives import compact as module
 from clsplat.primitives.compact import compact, new_counts
 from tests.reference.compact import compact as reference
@@ -68,12 +67,6 @@ def test_the_devices_own_chunks(device, monkeypatch):
     assert counts.download()[COUNT_VISIBLE] == len(kept)
 
 
-def test_more_chunks_than_lanes(device):
-    flags = random_flags((2 * GROUP + 1) * CHUNK + 3)
-    kept = compact(device, device.upload(flags), new_counts(device))
-    assert np.array_equal(kept.download(), reference(flags, len(flags))[0])
-
-
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("more", [0, 1, 100])
 def test_a_room_that_is_large_enough(device, monkeypatch, more):
@@ -100,32 +93,3 @@ def test_a_room_that_is_too_small(device, monkeypatch, fewer):
     assert failed and found[COUNT_FAILED] == 1 and found[COUNT_VISIBLE] == 0
     assert found[COUNT_NEEDED_VISIBLE] == found[COUNT_MOST_VISIBLE] == needed
     assert (written[needed - fewer:] == UNWRITTEN).all()
-
-
-def test_a_failure_stays(device, monkeypatch):
-    """Until the host clears it: later frames see nothing, and the largest need is kept."""
-    counts = new_counts(device)
-    for flags, room in ((np.ones(50, np.uint32), 49), (np.ones(7, np.uint32), 10),
-                        (np.ones(60, np.uint32), 10), (np.ones(20, np.uint32), 10)):
-        into_a_room(device, monkeypatch, flags, counts, room)
-        assert counts.download()[COUNT_VISIBLE] == 0 and counts.download()[COUNT_FAILED] == 1
-    found = counts.download()
-    assert found[COUNT_NEEDED_VISIBLE] == found[COUNT_MOST_VISIBLE] == 60
-
-
-def test_a_room_waits_for_nothing(device, monkeypatch):
-    flags, counts = device.upload(random_flags(CHUNK)), new_counts(device)
-    monkeypatch.setattr(Array, "download", None)
-    monkeypatch.setattr(Array, "last", None)
-    compact(device, flags, counts, CHUNK)
-
-
-def test_totals_that_are_given_are_used(device):
-    flags = random_flags(3 * CHUNK)
-    totals = flags.reshape(3, CHUNK).sum(axis=1, dtype=np.uint32)
-    kept = compact(device, device.upload(flags), new_counts(device), totals=device.upload(totals))
-    assert np.array_equal(kept.download(), np.flatnonzero(flags))
-    totals[0] += 2  # the rows of later chunks come two places later
-    kept = compact(device, device.upload(flags), new_counts(device), totals=device.upload(totals))
-    first = int(totals[0]) - 2
-    assert np.array_equal(kept.download()[first + 2:], np.flatnonzero(flags)[first:])

@@ -62,11 +62,6 @@ def test_sums(device, size):
     check(device, *cases.splats(40, *size, sigma=(0.6, 3)), size, f"{size}", 0.3)
 
 
-@pytest.mark.slow
-def test_wide_splats_lie_in_many_tiles(double_device):
-    check(double_device, *cases.splats(150, 61, 37, seed=1, sigma=(3, 30)), (61, 37), "wide", 1)
-
-
 def test_what_lies_behind_an_opaque_stack_contributes_nothing(device):
     splats, order = cases.splats(300, 20, 16, seed=3, opacity=(0.3, 0.9999), sigma=(6, 30))
     actual = sums_of(device, pack_splats(splats, order), an_image(20, 16))
@@ -94,17 +89,6 @@ def test_lists_around_group_sizes(double_device, count):
                  ).shape == (count, 4)
 
 
-def test_weights_sum_to_what_the_image_covers(device):
-    """Over all splats: alpha T is 1 less the transmittance, pixel by pixel."""
-    rows = pack_splats(*cases.splats(200, 61, 37, seed=6))
-    frame = a_frame(device, rows, (61, 37))
-    covered = 1 - frame.blended.transmittance.download().astype(float)
-    weights = an_image(61, 37)
-    sums = contribution(device, frame, device.upload(weights)).download().sum(axis=0, dtype=float)
-    close(sums[1], covered.sum(), precision_of(device), "weight")
-    close(sums[2], (covered * weights).sum(), precision_of(device), "weighted image")
-
-
 def test_rows_are_those_of_the_visible_gaussians(device):
     """Splats are stored by gaussian, not by depth: each alone has its own count."""
     case = cases.gaussians("degree_1")
@@ -120,25 +104,3 @@ def test_rows_are_those_of_the_visible_gaussians(device):
         single = contribution(device, render(device, case, alone)[2], ones).download()[0]
         assert together[place, 0] <= single[0] and together[place, 1] <= single[1] * (1 + 1e-6)
         assert single[0] > 1 or place  # the comparison says something
-
-
-@pytest.mark.parametrize("label", ["nan", "inf", "denormal", "largest"])
-def test_a_strange_weight_reaches_only_the_splats_blended_there(float_device, label):
-    splats, order = cases.splats(60, 48, 40, seed=8, sigma=(1, 5))
-    rows, weights = pack_splats(splats, order), an_image(48, 40)
-    clean = sums_of(float_device, rows, weights)
-    weights[20, 24] = cases.POISON[label]
-    poisoned = sums_of(float_device, rows, weights)
-    pixel = np.zeros((40, 48), bool)
-    pixel[20, 24] = True
-    reached = np.array([reaches(splats, k, pixel) for k in order])
-    assert 0 < reached.sum() < 30
-    assert np.array_equal(poisoned[~reached], clean[~reached])
-    assert np.array_equal(poisoned[:, [0, 1, 3]], clean[:, [0, 1, 3]])
-    assert (poisoned[reached, 2] != clean[reached, 2]).any()
-
-
-@pytest.mark.slow
-def test_small_tiles_give_the_same(group_device, monkeypatch):
-    monkeypatch.setattr(group_device, "tile", 8)
-    check(group_device, *cases.splats(80, 37, 29, seed=9, sigma=(0.6, 2)), (37, 29), "tiles of 8")

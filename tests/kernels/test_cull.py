@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.primitives import compact as module
-from clsplat.primitives.compact import chunk_size, compact, new_counts
+from clsplat.primitives.compact import chunk_size
 from clsplat.rendering.cull import cull
 from clsplat.rendering.project import pack_camera
 from tests import cases
@@ -46,19 +46,3 @@ def test_counts_around_group_and_chunk_sizes(device, monkeypatch):
     monkeypatch.setattr(device, "compute_units", 1)
     for count in (0, 1, 31, 32, 33, 64, 103):
         check(device, cases.gaussians("degree_1", count=count), False, f"{count} gaussians")
-
-
-def test_gaussians_around_the_image(device):
-    """Moved to all sides, most of them are outside; some still reach into it."""
-    case = cases.gaussians("degree_1", count=400)
-    case["rows"]["positions"] += cases.single(
-        np.random.default_rng(1).normal(0, 4, case["rows"]["positions"].shape))
-    expected = check(device, case, False, "around the image")
-    assert 10 < expected.sum() < 350
-
-
-def test_totals_are_those_that_compaction_adds_up(device):
-    flags, totals = culled(device, cases.gaussians("degree_1", count=300))
-    with_totals, without = (compact(device, flags, new_counts(device), totals=given).download()
-                            for given in (totals, None))
-    assert len(without) and np.array_equal(with_totals, without)

@@ -54,13 +54,6 @@ def test_polynomials_have_the_error_that_they_claim(float_device, tmp_path, degr
     assert 0.9 * largest < error < largest + ROUNDING
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", [0, 1])
-def test_exp2_and_native_exp2(float_device, tmp_path, kind):
-    bound = 1e-6 if kind == 0 else 1e-4  # how good native_exp is is the device's own affair
-    assert np.abs(exp_errors(float_device, tmp_path, ("EXP_KIND", kind))).max() < bound
-
-
 def test_the_default_is_one_of_them(float_device, tmp_path):
     default = exp_errors(float_device, tmp_path)
     assert np.array_equal(default, exp_errors(

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.constants import COUNT_FAILED, EXPOSURE_BLOCK
+from clsplat.constants import COUNT_FAILED
 from clsplat.loss.exposure import Exposures
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.project import pack_camera
@@ -108,12 +108,6 @@ def test_gradient_and_steps(device, size, parts):
     run.check("a first step")
 
 
-def test_sizes_stand_around_a_block():
-    pixels = [width * height for width, height in SIZES]
-    around = {EXPOSURE_BLOCK - 1, EXPOSURE_BLOCK, EXPOSURE_BLOCK + 1}
-    assert {1, *around} < set(pixels) and max(pixels) > 4 * EXPOSURE_BLOCK
-
-
 @with_parts
 def test_views_and_lenses_step_by_their_own_count(device, parts):
     run = Run(device, **parts)
@@ -122,25 +116,6 @@ def test_views_and_lenses_step_by_their_own_count(device, parts):
     run.check("six steps")
     assert run.state[3].tolist() == [2, 1, 3]
     assert not parts or run.exposures.lens_steps.download().tolist() == [5, 1]
-
-
-def test_first_and_late_steps_are_corrected(device):
-    for count in (0, 7, 999, 10**6):
-        run = Run(device)
-        run.state[3][:] = count
-        run.exposures.steps.write(run.state[3])
-        run.step(0, *a_pair(16, 16))
-        run.check(f"after {count} steps")
-
-
-@pytest.mark.slow
-def test_sums_over_a_million_pixels_keep_their_digits(device):
-    """All of one sign, the worst for sums that lose what is small beside them."""
-    run, rng = Run(device, pull=0.0), np.random.default_rng(1)
-    image, grad = cases.single(rng.uniform(0.1, 1, (2, 3, 1000, 1009)))
-    run.step(0, image, grad)
-    sums = reference.apply_adjoint(run.state[0][0], image, grad)[1]
-    close(10 * run.exposures.download()["m"][0], sums.ravel(), precision_of(device), "sums")
 
 
 @with_parts
@@ -211,15 +186,6 @@ def test_the_mean_at_the_start_is_kept(device):
     rest = exposures.between([(0, 1)]).download()
     again = Exposures(device, 3, initial=rows.astype(float)).between([(0, 1)]).download()
     assert np.allclose(rest, again, atol=1e-5)
-
-
-def test_between_goes_by_the_last_recentring(device):
-    run, (image, grad) = Run(device), a_pair(20, 10)
-    before = run.exposures.between([(0, 1)]).download()
-    run.step(0, image, grad)
-    assert np.array_equal(run.exposures.between([(0, 1)]).download(), before)
-    run.exposures.recentre()
-    assert not np.array_equal(run.exposures.between([(0, 1)]).download(), before)
 
 
 def test_between_takes_one_photos_colours_to_anothers(device):

@@ -22,10 +22,6 @@ def call(float_device):
     return launch
 
 
-def test_good_arguments_are_taken(call):
-    call()
-
-
 @pytest.mark.parametrize("name, shape, dtype", [
     ("rows", (9, 4), None), ("rows", (9,), None), ("indices", (5,), np.uint32),
     ("indices", (4,), np.int32), ("result", (4, 3), np.uint32), ("rows", (9, 3), np.float64)])
@@ -62,22 +58,6 @@ def test_wrong_types_and_counts_are_refused(float_device):
 def test_a_kernel_that_does_not_build_names_its_file(float_device):
     with pytest.raises(DeviceError, match="sort.cl does not build"):
         float_device._build(Kernel("sort.cl", "sort_count", each("count"), count="uint"), ())
-
-
-def test_waves_have_32_or_64_lanes(float_device):
-    """32 on a CPU, where the choice only decides what is skipped together."""
-    assert float_device.wave in ((32,) if float_device.is_cpu else (32, 64))
-    assert float_device.adjoint_group % float_device.wave == float_device.bucket % 32 == 0
-
-
-def test_a_kernel_is_built_again_for_other_sizes(float_device, monkeypatch):
-    kernel = Kernel("gather.cl", "gather", each("count"), **TYPES)
-    first = float_device._build(kernel, ())
-    assert float_device._build(kernel, ()) is first
-    for name in ("tile", "scan_group", "wave", "bucket", "adjoint_group"):
-        with monkeypatch.context() as patch:
-            patch.setattr(float_device, name, 2 * getattr(float_device, name))
-            assert float_device._build(kernel, ()) is not first
 
 
 def test_what_a_source_does_not_name_compiles_nothing(float_device):

@@ -239,19 +239,6 @@ def test_epsilon_counts_as_far_as_stated(double_device, scale, begun, missed):
     assert spread < {1: 0.03, 3: 0.14, 100: 3e-3, 301: 4e-4, 3000: 3e-5}[begun]
 
 
-def test_moments_that_are_zero_stay_where_they_are(device):
-    run = Lazy(device, count=3)
-    before = {name: array.download() for name, array in run.rows.items()}
-    nothing = Gradients({field.name: device.empty((0, *field.row_shape(DEGREE)))
-                         for field in LEARNED}, None, device.empty(0, np.uint32),
-                        device.empty(0, np.uint32), new_counts(device))
-    for step in range(1, 5):
-        run.engine.step(run.rows, nothing, step, RATES, USED)
-    run.engine.catch_up(run.rows)
-    for name, values in before.items():
-        assert np.array_equal(run.rows[name].download(), values), name
-
-
 @pytest.mark.one_in(2)
 def test_a_checkpoint_keeps_what_rows_have_missed(device):
     """An engine that goes on from it ends in the same bytes as one that was never stopped."""

@@ -49,13 +49,6 @@ def test_against_the_reference(device):
                 assert not found[mask].any()
 
 
-def test_only_transparent_gaussians_move(float_device):
-    rows = some_rows(900)
-    found = moves(float_device, rows)
-    opacity = 1 / (1 + np.exp(-rows["opacity_logits"]))
-    assert not found[opacity > 0.13].any() and found[opacity < 0.004].any(axis=1).all()
-
-
 def test_every_step_seed_and_row_draws_other_numbers(float_device):
     rows = {name: np.repeat(values[:1], 200, axis=0) for name, values in some_rows(1).items()}
     rows["opacity_logits"][:] = -9

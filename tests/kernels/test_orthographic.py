@@ -51,17 +51,6 @@ def test_image_and_depth_at_a_share_of_the_light(device, name, percent):
     assert (frame.blended.transmittance.download() < 0.5).any()
 
 
-def test_rays_are_parallel(item_device):
-    """Two gaussians above each other stand on the same pixels, and have the same size."""
-    case = flat(cases.gaussians("one"))
-    case["camera"].update(fx=2.0, fy=2.0, rotation=np.eye(3), translation=np.zeros(3))
-    images = []
-    for depth in (1.5, 9.0):
-        case["rows"]["positions"][:] = 1.25, -0.75, depth
-        images.append(render(item_device, case, **CHOICES)[2].image.download())
-    assert np.array_equal(*images) and np.ptp(images[0]) > 0.05
-
-
 @pytest.mark.parametrize("name", ["ragged", "giants"])
 def test_slabs_show_the_same(float_device, name):
     case = flat(faint(name))

@@ -13,7 +13,6 @@ from tests.checks import close
 from tests.kernels.chain import (
     agrees_with_reference,
     camera_of,
-    close_gradients,
     gradients_by_row,
     precision_of,
     render,
@@ -157,50 +156,3 @@ def test_the_same_bytes_every_time_and_for_every_group_size(device, monkeypatch)
     for group in (32, 64):
         monkeypatch.setattr(device, "group_size", group)
         assert_same(first, rendered_bytes(device, case))
-
-
-def test_the_order_of_storage_does_not_matter(device):
-    case = cases.gaussians("degree_1", count=80)
-    order = np.random.default_rng(5).permutation(80)
-    shuffled = {**case, "rows": {name: v[order] for name, v in case["rows"].items()}}
-    assert len(np.unique(case["rows"]["positions"][:, 2])) == 80
-    first, second = rendered_bytes(device, case), rendered_bytes(device, shuffled)
-    assert_same(first[:2], second[:2])
-    assert_same([values[order] for values in first[3:]], second[3:])
-
-
-def test_equal_depths_keep_the_order_of_storage(device):
-    """Two coincident gaussians: the one stored first is in front."""
-    case = cases.gaussians("one")
-    case["rows"] = {name: np.repeat(values, 2, axis=0) for name, values in case["rows"].items()}
-    case["rows"]["opacity_logits"][:] = 2
-    case["rows"]["sh_constant"][:] = [[3, -1, -1], [-1, -1, 3]]
-    _, _, frame = render(device, case)
-    assert list(frame.visible.download()) == [0, 1]
-    case["rows"]["sh_rest"][:] = 0
-    image = render(device, case)[2].image.download()
-    x, y = np.unravel_index(np.argmax(image[0]), image[0].shape)
-    assert image[0][x, y] > 2 * image[2][x, y]
-
-
-def test_a_frame_without_depth_has_the_same_image_and_gradients(device):
-    case = small_scene(7)
-    with_depth, without = (render(device, case, with_depth=d) for d in (True, False))
-    assert np.array_equal(with_depth[2].image.download(), without[2].image.download())
-    weight, zero = device.upload(cotangents(case)[0]), device.upload(0 * cotangents(case)[1])
-    expected = with_depth[0].adjoint(*with_depth[1:], weight, zero)
-    actual = without[0].adjoint(*without[1:], weight)
-    close_gradients(gradients_by_row(actual, case), gradients_by_row(expected, case), case,
-                    precision_of(device), "without depth")
-    close(actual.means.download(), expected.means.download(), precision_of(device), "means")
-
-
-@pytest.mark.slow
-def test_gradients_are_linear_in_the_cotangent(double_device):
-    case = small_scene(8)
-    renderer, rows, frame = render(double_device, case)
-    first, second = cotangents(case)[0], cotangents(case, 1)[0]
-    a, b, both = (gradients_by_row(renderer.adjoint(rows, frame, double_device.upload(g)), case)
-                  for g in (first, second, 2 * first - second))
-    for name in both:
-        close(both[name], 2 * a[name] - b[name], "double", name)

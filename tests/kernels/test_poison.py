@@ -10,12 +10,9 @@ import pytest
 from clsplat.constants import NO_ROW
 from tests import cases
 from tests.kernels.chain import (
-    camera_of,
     render,
-    renderer_of,
     size_of,
     small_scene,
-    upload_rows,
 )
 
 POISONED = 5
@@ -59,28 +56,6 @@ def test_poison_stays_with_its_gaussian(float_device, name):
         for label, value in cases.POISON.items():
             rows = cases.poisoned(case["rows"], name, (POISONED, *slot), value)
             survives(float_device, {**case, "rows": rows}, f"{name}{list(slot)} = {label}")
-
-
-def test_a_healthy_scene_marks_nothing(device):
-    assert not len(survives(device, scene(), "healthy"))
-
-
-def test_a_cotangent_that_is_not_finite_marks_only_whom_it_reaches(device):
-    """One pixel of nan: gaussians that do not touch it keep their gradients."""
-    case = scene()
-    width, height = size_of(case)
-    renderer = renderer_of(device, case)
-    rows = upload_rows(device, case["rows"])
-    frame = renderer.render(rows, renderer.pack(camera_of(case)), width, height, case["degree"])
-    cotangent = np.ones((3, height, width))
-    before = renderer.adjoint(rows, frame, device.upload(cotangent)).fields["positions"].download()
-    cotangent[1, 0, 0] = np.nan
-    gradients = renderer.adjoint(rows, frame, device.upload(cotangent))
-    active = gradients.rows.download()
-    after = gradients.fields["positions"].download()[active != NO_ROW]
-    assert 0 < (active == NO_ROW).sum() < len(active)
-    assert renderer.skipped.last() == (active == NO_ROW).sum()
-    assert np.isfinite(after).all() and np.array_equal(after, before[active != NO_ROW])
 
 
 def test_gradients_whose_squares_overflow_are_marked(float_device):

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from clsplat.camera import Camera
 from clsplat.constants import COUNT_FAILED, COUNT_VISIBLE, POSE_BLOCK
-from clsplat.optimise.pose import DECAY, RATE, WARM_UP, Poses, pose_rate
+from clsplat.optimise.pose import Poses
 from clsplat.placement.corrections import Correction, correction_between
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.project import pack_camera
@@ -139,13 +139,6 @@ def test_views_step_by_their_own_count(device):
     assert run.state[3].tolist() == [2, 1, 3]
 
 
-def test_without_a_rate_nothing_changes(device):
-    run = Run(device)
-    run.step(0, terms_of(10), rate=0.0)
-    run.check("no rate")
-    assert not run.state[3].any()
-
-
 @pytest.mark.parametrize("value", list(cases.POISON.values()), ids=list(cases.POISON))
 @pytest.mark.one_in(3)
 def test_poison_leaves_the_pose_alone(float_device, value):
@@ -165,18 +158,6 @@ def test_poison_leaves_the_pose_alone(float_device, value):
     run.poses.upload(before)
     run.step(1, terms)
     run.check("the step after")
-
-
-def test_a_gradient_of_a_gaussian_that_is_not_finite_does_not_count(float_device):
-    case = cases.gaussians("degree_1", count=30)
-    renderer, rows = renderer_of(float_device, case), upload_rows(float_device, case["rows"])
-    frame = renderer.render(rows, renderer.pack(camera_of(case)), *size_of(case), case["degree"])
-    grad = np.ones((3, *size_of(case)[::-1]))
-    grad[:, 10, 10] = np.nan
-    gradients = renderer.adjoint(rows, frame, float_device.upload(grad), with_pose=True)
-    terms, skipped = gradients.pose_terms.download(), gradients.rows.download() == 2**32 - 1
-    assert np.isfinite(terms).all() and 0 < skipped.sum() < len(skipped)
-    assert not terms[skipped].any() and terms[~skipped].any(axis=1).all()
 
 
 def test_a_frame_that_failed_changes_nothing(device):
@@ -221,9 +202,3 @@ def test_recentring_removes_a_common_motion_and_nothing_else(double_device):
     both = write([correction_between(given, n.applied(camera)) for given, n, camera in zip(
         cameras, noise, moved)])
     assert np.allclose(both, own, atol=2e-5) and np.abs(own).max() > 1e-4
-
-
-def test_the_rate_begins_after_the_warm_up_and_decays():
-    assert pose_rate(0.0) == pose_rate(0.99 * WARM_UP) == 0
-    assert pose_rate(WARM_UP) == pytest.approx(RATE)
-    assert pose_rate(1.0) == pose_rate(1.5) == pytest.approx(RATE * DECAY)

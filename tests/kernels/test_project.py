@@ -19,7 +19,6 @@ from tests.kernels.chain import (
     grads_of_sums,
     precision_of,
     size_of,
-    stored_degree,
     upload_rows,
 )
 from tests.reference import project as reference
@@ -152,28 +151,6 @@ def test_sums_over_pairs_are_added_in_their_order(device, with_depth):
                    for which in (0, 1))
     for field, values in pairs.gradients.items():
         assert np.array_equal(values, sums.gradients[field]), field
-
-
-def test_saturated_opacities_keep_their_gradient(device):
-    """1 - opacity is zero in single precision from a logit of 17 on, its derivative is not."""
-    case = cases.gaussians("degree_1")
-    case["rows"]["opacity_logits"][:] = np.resize([17.0, 25.0, 40.0], 25)
-    actual = Projected(device, case)
-    logit = case["rows"]["opacity_logits"][actual.visible]
-    grad = actual.gradients["opacity_logits"][actual.visible]
-    ratio = grad / (actual.sums[:, 0] * np.exp(-logit))
-    assert np.allclose(ratio, 1, rtol=1e-4)
-
-
-def test_bands_that_are_not_active_do_not_count(device):
-    case = cases.gaussians("lower_degree_active")
-    plain = Projected(device, case)
-    case["rows"]["sh_rest"][:, 3:] = 1e3
-    changed = Projected(device, case)
-    assert np.array_equal(plain.splats, changed.splats)
-    assert stored_degree(case) == 3 and case["degree"] == 1
-    for name, values in plain.gradients.items():
-        assert np.array_equal(values, changed.gradients[name]), name
 
 
 def test_slots_past_the_visible_gaussians_are_not_touched(device):

@@ -45,12 +45,6 @@ def test_few_distinct_keys_keep_their_order(device):
         check(device, random_keys(1009, distinct))
 
 
-@pytest.mark.parametrize("parts", [1, 2, 32])
-def test_any_number_of_parts(device, monkeypatch, parts):
-    monkeypatch.setattr(sort, "parts_of", lambda device: parts)
-    check(device, random_keys(3001))
-
-
 @pytest.mark.parametrize("bits", [1, 4, 7, 11, 13, 24])
 def test_keys_that_differ_in_some_digits_only(device, bits):
     check(device, random_keys(1500 + bits, 2**bits))
@@ -75,16 +69,3 @@ def test_slots_past_the_end_are_not_written(device, monkeypatch):
     monkeypatch.setattr(device, "empty", filled)
     for array in stable_sort(device, keys, counts):
         assert (array.download()[100:] == 77).all()
-
-
-def test_positive_floats_order_as_their_bits(device):
-    depths = np.exp(np.random.default_rng(0).normal(0, 9, 3000)).astype(np.float32)
-    _, order = stable_sort(device, device.upload(depths.view(np.uint32)),
-                           new_counts(device, len(depths)))
-    assert np.array_equal(order.download(), np.argsort(depths, kind="stable"))
-
-
-def test_sorted_and_reversed_keys(device):
-    keys = np.sort(random_keys(2000))
-    check(device, keys)
-    check(device, keys[::-1].copy())

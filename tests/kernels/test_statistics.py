@@ -90,27 +90,6 @@ def test_rows_that_are_frozen(device):
         assert np.array_equal(values.download()[moves], whole.fields[name].download()[moves]), name
 
 
-def test_a_view_that_sees_nothing_and_a_fresh_start(device):
-    views = Views(device, 40)
-    views.see(1)
-    before = views.statistics.grad_norm_sum.download()
-    assert before.any()
-    views.rows["positions"].write(-views.case["rows"]["positions"])  # behind the camera
-    assert not len(views.see(2).rows)
-    assert np.array_equal(views.statistics.grad_norm_sum.download(), before)
-    views.statistics.clear(7)
-    assert views.statistics.mean_gradient().shape == (7,)
-    assert not views.statistics.mean_gradient().any()
-
-
-def test_slots_past_the_visible_gaussians_do_not_count(device):
-    """There is room for more than a view sees."""
-    views = Views(device, 60)
-    number = len(views.see(1).rows)
-    assert len(views.see(2, room=Room(number + 30, 5000)).rows) == number + 30
-    views.check()
-
-
 def test_a_frame_that_failed_adds_nothing(device):
     views, counts = Views(device, 60), new_counts(device)
     views.see(1)

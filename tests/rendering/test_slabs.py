@@ -7,11 +7,11 @@ import pytest
 
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run
-from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.gaussians import Gaussians
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.rendering import slabs
-from clsplat.rendering.slabs import Parts, SlabRenderer, gaussian_limit, open_model
+from clsplat.rendering.slabs import Parts, SlabRenderer, open_model
 from tests import cases
 from tests.data.tiny_training import CITY, options_of
 from tests.kernels.chain import (
@@ -118,24 +118,6 @@ def test_what_the_stop_leaves_out_is_within_its_bound(device, name):
             assert error.mean() <= 1e-5
 
 
-def test_opaque_slabs_end_the_frame(float_device):
-    case = cases.gaussians("stack", count=400, width=8, height=8)
-    case["rows"]["log_scales"][:] = 0
-    case["rows"]["opacity_logits"][:] = 3
-    _, _, left, drawn = in_slabs(float_device, case, 20)
-    assert drawn < 5 and left.max() < slabs.TRANSMITTANCE_MIN
-
-
-@pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.2, 0.5, 0.9)])
-def test_nothing_in_sight_is_background(float_device, background):
-    case = {**cases.gaussians("plain"), "background": np.array(background)}
-    case["rows"]["positions"][:, 2] *= -1
-    for rows in (case["rows"], {name: v[:0] for name, v in case["rows"].items()}):
-        image, depth, left, drawn = in_slabs(float_device, case, 5, rows)
-        assert drawn == 0 and (left == 1).all() and (depth == 0).all()
-        assert np.allclose(image, np.array(background)[:, None, None])
-
-
 # --- parts
 
 
@@ -154,47 +136,7 @@ def test_what_is_drawn_is_in_a_part_that_is_seen(item_device, name):
         assert set(frame.visible.download()) <= seen
 
 
-def test_parts_out_of_sight_are_not_touched(float_device, monkeypatch):
-    case = faint("plain", count=160)
-    rows = case["rows"]
-    moves = np.array([[0, 0, 0], [0, 0, -20], [30, 0, 0], [-30, 0, 0], [0, 30, 0], [0, -30, 0],
-                      [0, 0, 1]], float)
-    hidden = {name: np.concatenate([values] * len(moves)) for name, values in rows.items()}
-    hidden["positions"] = np.concatenate([rows["positions"] + move for move in moves])
-    parts = Parts.of(hidden, 160)
-    seen = parts.seen(camera_of(case), case["near"])
-    assert [piece.start // 160 for piece in seen] == [0, 6]
-    culled, cull = [], slabs.cull
-    monkeypatch.setattr(slabs, "cull", lambda device, rows, *rest: (
-        culled.append(len(rows["positions"])), cull(device, rows, *rest))[1])
-    in_slabs(float_device, case, 50, hidden, part=160)
-    assert culled == [160, 160]
-
-
-def test_a_large_gaussian_keeps_its_part_in_sight(float_device):
-    """Its centre is far outside the image, its footprint is not."""
-    case = faint("plain", count=20)
-    rows = case["rows"]
-    rows["positions"] += [30, 0, 0]
-    camera, near = camera_of(case), case["near"]
-    assert not Parts.of(rows, 20).seen(camera, near)
-    rows["log_scales"][7] = np.log(20)
-    assert Parts.of(rows, 20).seen(camera, near) == [slice(0, 20)]
-
-
 # --- the choice
-
-
-def test_the_limit_follows_from_the_devices_memory(float_device, monkeypatch):
-    monkeypatch.setattr(float_device, "largest_buffer", 1 << 60)
-    limit = gaussian_limit(float_device, 3)
-    row_bytes = 4 * sum(field.width(3) for field in LEARNED)
-    assert row_bytes == 236
-    share = limit * row_bytes / float_device.handle.global_mem_size
-    assert 0.7 < share / slabs.MODEL_SHARE < 0.8
-    assert gaussian_limit(float_device, 0) > 2 * limit
-    monkeypatch.setattr(float_device, "largest_buffer", 180 * 300)
-    assert gaussian_limit(float_device, 3) == 200
 
 
 def test_a_model_that_fits_is_rendered_in_one_piece(float_device, monkeypatch):

@@ -21,9 +21,6 @@ SCHEDULES = {"constant": {"reset_every": 0}, "sig": {**LEVELLED, "reproject": "a
 STEPS = 200
 # nothing is left of these models, and what ends a training is said
 EMPTIED = {"transparent"}
-GROWING = {"schedule": "sig", "levels": (2.0, 1.0), "iterations": 200, "downscale": 4.0,
-           "densify_every": 0, "reset_every": 0, "prune_opacity": 0.005, "rounds": 3,
-           "pixels_per_gaussian": 20.0, "densify_from": 20, "level_reset": False}
 
 
 def prepared(city, case, schedule, folder):
@@ -77,22 +74,6 @@ def test_what_cannot_be_good_is_said(city, tmp_path, name):
 
 
 # --- units and places
-
-
-@pytest.mark.slow
-def test_the_unit_changes_no_bit_even_of_growth(city, item_device, tmp_path):
-    """Rounding alone moves such a run by 0.3 dB."""
-    thin, factor = stiff.thinned(city, 2), 1000.0
-    runs = [trained(tmp_path / name, scene, item_device, **GROWING)
-            for name, scene in (("one", thin), ("other", rescaled(thin, factor)))]
-    one, other = (read_ply(run.path / "point_cloud.ply") for run in runs)
-    assert one.count > 1.1 * len(thin.points)
-    for name in ("sh_constant", "sh_rest", "opacity_logits", "quaternions"):
-        assert np.array_equal(one.rows[name], other.rows[name]), name
-    assert np.allclose(factor * one.positions, other.positions,
-                       atol=1e-5 * factor * thin.extent)
-    psnr = [records(run, "eval")[-1]["psnr"] for run in runs]
-    assert psnr[0] == psnr[1]
 
 
 @pytest.mark.parametrize("factor", [1e-9, 1000.0])
