@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clsplat.errors import InputError
-from clsplat.io.photos.beside import check_shape
 from clsplat.io.photos.images import image_size
-from clsplat.io.photos.mask_files import FOLDERS, MaskFiles, mask_folders, photo_of
+from clsplat.io.photos.masks import FOLDERS, MaskFiles, check_shape, mask_folders, photo_of
 from clsplat.io.photos.metadata import Calibration, PhotoMetadata, read_metadata
 from clsplat.io.photos.photo import Levels
 from clsplat.io.runs.run import CITY, OPTIONS
@@ -86,7 +85,7 @@ def find_photos(folder: Path, masks: Path | None = None
     Parameters
     ----------
     masks : a folder with masks NAME.png, or NAME.jpg.png as COLMAP names them; None: those that
-        io/photos/mask_files.py finds.
+        io/photos/masks.py finds.
 
     Returns
     -------

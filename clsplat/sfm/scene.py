@@ -14,7 +14,7 @@ from clsplat.io.ahead import called_ahead
 from clsplat.io.folders import link_file, make_folder
 from clsplat.io.georeference.reconstruction import Placed
 from clsplat.io.photos.images import read_image
-from clsplat.io.photos.mask_files import MASKS
+from clsplat.io.photos.masks import MASKS
 from clsplat.io.records import plain
 from clsplat.io.scenes.colmap import write_reconstruction
 from clsplat.io.scenes.sources import IMAGES

@@ -1,13 +1,13 @@
 """Depth maps of photos, such as of a laser scanner: depths along the camera's axis.
 
-A map is an image beside the photos (io/photos/beside.py): PNG, TIFF or NPY with whole numbers,
-which are thousandths of the scene's unit (millimetres of a metre), or EXR, TIFF or NPY with floats
-in the scene's units. Values that are zero, negative or not finite are no depths.
+A map is FOLDER/NAME.png or FOLDER/NAME.jpg.png for the photo NAME.jpg, of any size: PNG, TIFF or
+NPY with whole numbers, which are thousandths of the scene's unit (millimetres of a metre), or EXR,
+TIFF or NPY with floats in the scene's units. Values that are zero, negative or not finite are none.
 """
 
 import io
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from clsplat.camera import Lens
 from clsplat.errors import InputError
 from clsplat.io.npz import read_array
-from clsplat.io.photos.beside import check_shape, file_beside, photo_size
 from clsplat.io.photos.images import window_of
 from clsplat.io.photos.lenses import pixel_map, rays_of
+from clsplat.io.photos.masks import check_shape, photo_size
 from clsplat.io.photos.photo import first_channel
 from clsplat.io.reason import reason
 from clsplat.io.regular import read_regular
@@ -38,13 +38,23 @@ def with_depths(scene: Scene, images: str) -> Scene:
     if not images:
         return scene
     folder = (scene.path if scene.path.is_dir() else scene.path.parent) / images
-    views = tuple(replace(view, depth=view.depth or file_beside(folder, view, SUFFIXES))
+    views = tuple(replace(view, depth=view.depth or map_of(folder, view))
                   for view in scene.views)
     if not any(view.depth for view in views):
         there = "no such folder" if not folder.is_dir() else "has no depth map for any photo"
         raise InputError(f"--depth {images}: {folder}: {there}; name the maps after the photos, "
                          f"such as {scene.views[0].name}.png")
     return replace(scene, views=views)
+
+
+def map_of(folder: Path, view: View) -> Path | None:
+    """The depth map that a folder has for the photo of a view; None: it has none."""
+    names = [PurePosixPath(view.name)]
+    if isinstance(view.source, Path):  # whose name differs for the faces of a cube
+        names.append(names[0].with_name(view.source.name))
+    paths = (folder / f"{stem}{suffix}" for name in names for stem in (name, name.with_suffix(""))
+             for suffix in SUFFIXES)
+    return next((path for path in paths if path.is_file()), None)
 
 
 def read_depth(view: View) -> NDArray[np.float32]:

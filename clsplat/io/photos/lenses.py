@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Lens
 from clsplat.errors import InputError
-from clsplat.io.photos import brown
 
 Model = tuple[str, tuple[float, ...]]  # name of a camera model, most of COLMAP, and parameters
 PANORAMA = "EQUIRECTANGULAR"
+# Brown's model with a radial term of r^8, which no model of COLMAP has. nerfstudio, Metashape and
+# RealityScan call its coefficient k4; that of FULL_OPENCV is another, which divides
+BROWN_K4 = "BROWN_K4"
+ROUNDS, SMALLEST_STEP = 30, 1e-12  # of Newton's method
 MOST_DEGREES = 60.0  # from the axis, in a single view: there pixels are stretched fourfold
 MOST_LOST = 0.1  # of the photo's pixels, to have an undistorted photo without uncovered pixels
 SMALLEST, LARGEST = 0.1, 2.0  # times the photo's sides: of an undistorted photo
@@ -46,7 +49,7 @@ def brown_model(pinhole: Sequence[float], radial: Sequence[float],
     """
     k1, k2, k3, k4 = (*radial, 0.0, 0.0, 0.0, 0.0)[:4]
     if k4:
-        return brown.NAME, (*pinhole, k1, k2, k3, k4, *tangential)
+        return BROWN_K4, (*pinhole, k1, k2, k3, k4, *tangential)
     if k3:
         return "FULL_OPENCV", (*pinhole, k1, k2, *tangential, k3, 0.0, 0.0, 0.0)
     if any((k1, k2, *tangential)):
@@ -83,11 +86,11 @@ def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
         if model is None:
             rows.append((index, "", None))
             continue
-        width, height = arrays["sizes"][index].tolist()
-        key = (*model, width, height)
+        size = tuple(arrays["sizes"][index].tolist())
+        key = (*model, size)
         if key not in known:
             try:
-                known[key] = dict(_lenses(*model, (width, height)))
+                known[key] = dict(_lenses(*model, size))
             except ValueError as error:
                 raise InputError(f"{path}: the camera of image {arrays['names'][index]} cannot be "
                                  f"undistorted ({error}); reconstruct the scene again") from None
@@ -99,8 +102,10 @@ def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
     result = dict(arrays)
     for name in ("rotations", "translations", "focals", "centres", "sizes"):
         result[name] = arrays[name][photos]
-    result["names"] = np.array([_name(str(arrays["names"][index]), face)
-                                for index, face, _ in rows], np.str_)
+    names = map(str, arrays["names"][photos])
+    result["names"] = np.array([
+        str(PurePosixPath(name).with_suffix(f".{face}{PurePosixPath(name).suffix}"))
+        if face else name for name, (_, face, _) in zip(names, rows)], np.str_)
     result["rotations"] = turns @ result["rotations"]
     result["translations"] = (turns @ result["translations"][:, :, None])[:, :, 0]
     for row, lens in enumerate(lenses):
@@ -110,12 +115,6 @@ def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
     if len(arrays.get("observations", ())):
         result["observations"] = _observations(result, photos, arrays["observations"])
     return {**result, "lenses": lenses, "files": arrays["names"][photos]}
-
-
-def _name(photo: str, face: str) -> str:
-    """The name of a view: that of its photo, with a face before its suffix."""
-    return str(PurePosixPath(photo).with_suffix(f".{face}{PurePosixPath(photo).suffix}")
-               ) if face else photo
 
 
 def _observations(model: Mapping[str, NDArray[Any]], photos: NDArray[np.int64],
@@ -185,8 +184,7 @@ def _is_wide(model: str) -> bool:
 
 
 def _sides(lens: Lens) -> list[NDArray[np.float64]]:
-    """Rays float64[SAMPLES + 1, 3] of the photo's left, right, top and bottom border; nan where the
-    model cannot be inverted."""
+    """Rays float64[SAMPLES + 1, 3] of the photo's left, right, top and bottom border, or nan."""
     width, height = lens.size
     along = np.linspace(0, 1, SAMPLES + 1)
     return [_rays(lens, np.stack([x * width, y * height], axis=1)) for x, y in (
@@ -260,13 +258,7 @@ def rays_of(lens: Lens, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArr
 
 def _photo_pixels(lens: Lens, places: Sequence[NDArray[np.float64]], least: float
                   ) -> NDArray[np.float64]:
-    """float64[2, n, W]: `pixel_map` at some pixels.
-
-    Parameters
-    ----------
-    places : x and y, float64[n, W] each.
-    least : the least cosine of the angle between the axis and a ray that the photo shows.
-    """
+    """`pixel_map` at places x, y [n, W] each, of rays of `least` cosine to the axis or more."""
     x, y = places
     rays = rays_of(lens, x.ravel(), y.ravel())
     pixels = _project(lens, rays)
@@ -304,7 +296,7 @@ def _least_forward(lens: Lens) -> float:
 
 
 def _project(lens: Lens, rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    """float64[N, 2]: pixels of the stored photo, of rays float64[N, 3] in its camera's frame."""
+    """Pixels [N, 2] of the stored photo, of rays float64[N, 3] in its camera's frame."""
     pixels: NDArray[np.float64] = _camera(lens).img_from_cam(
         np.ascontiguousarray(rays, np.float64), check_cheirality=False)
     if not _is_wide(lens.model) and lens.model != PANORAMA:
@@ -313,8 +305,7 @@ def _project(lens: Lens, rays: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _rays(lens: Lens, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """float64[N, 3]: unit rays of pixels of the stored photo; nan where they do not come back to
-    these."""
+    """Unit rays [N, 3] of pixels of the stored photo; nan where they do not come back to these."""
     rays = np.array(_camera(lens).cam_ray_from_img(pixels), np.float64).reshape(-1, 3)
     with np.errstate(invalid="ignore"):
         back = np.abs(_project(lens, rays) - pixels).max(axis=1)
@@ -323,8 +314,8 @@ def _rays(lens: Lens, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _camera(lens: Lens) -> Any:
-    if lens.model == brown.NAME:
-        return brown.Brown(lens.parameters)
+    if lens.model == BROWN_K4:
+        return Brown(lens.parameters)
     import pycolmap
 
     try:
@@ -333,3 +324,54 @@ def _camera(lens: Lens) -> Any:
     except (ValueError, RuntimeError, KeyError) as error:
         raise ValueError(f"pycolmap {pycolmap.__version__} does not know {lens.model}; a newer "
                          "one may") from error
+
+
+class Brown:
+    """A camera with the model BROWN_K4; as much of pycolmap.Camera as is used here.
+
+    Parameters
+    ----------
+    parameters : fx, fy, cx, cy, k1, k2, k3, k4, p1, p2; pixels.
+    """
+
+    def __init__(self, parameters: Sequence[float]) -> None:
+        values = np.array(parameters, np.float64)
+        self._focal, self._centre = values[:2], values[2:4]
+        self._radial, self._tangential = values[4:8], values[8:]
+
+    def img_from_cam(self, rays: NDArray[np.float64], check_cheirality: bool = False
+                     ) -> NDArray[np.float64]:
+        """Pixels float64[N, 2] of rays float64[N, 3], which are in front of the camera."""
+        with np.errstate(all="ignore"):
+            distorted, _ = self._distorted(rays[:, :2] / rays[:, 2:])
+            return distorted * self._focal + self._centre
+
+    def cam_ray_from_img(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Unit rays float64[N, 3] of pixels float64[N, 2]; of no meaning where there is none."""
+        with np.errstate(all="ignore"):
+            wanted = (pixels - self._centre) / self._focal
+            places = wanted.copy()
+            for _ in range(ROUNDS):
+                found, slopes = self._distorted(places)
+                (a, b), (_, d) = slopes  # symmetric
+                x, y = (wanted - found).T
+                step = np.stack([d * x - b * y, a * y - b * x], axis=1) / (a * d - b * b)[:, None]
+                places += step
+                if not (np.abs(step) > SMALLEST_STEP).any():
+                    break
+            rays = np.column_stack([places, np.ones(len(places))])
+            unit: NDArray[np.float64] = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+            return unit
+
+    def _distorted(self, places: NDArray[np.float64]
+                   ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where x/z and y/z [N, 2] appear, and the derivatives float64[2, 2, N]."""
+        (x, y), (k1, k2, k3, k4), (p1, p2) = places.T, self._radial, self._tangential
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
+        slope = 2 * (k1 + r2 * (2 * k2 + r2 * (3 * k3 + r2 * 4 * k4)))
+        both = slope * x * y + 2 * (p1 * x + p2 * y)
+        return np.stack([x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                         y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y)], axis=1), np.array([
+            [radial + slope * x * x + 2 * p1 * y + 6 * p2 * x, both],
+            [both, radial + slope * y * y + 6 * p1 * y + 2 * p2 * x]])

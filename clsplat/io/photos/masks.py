@@ -1,26 +1,108 @@
 """Masks of photos: which pixels count in training and in scores.
 
-A mask is an image in masks/ beside the photos, or has a name by which io/photos/mask_files.py
-finds it: dark pixels do not count. Nor do transparent pixels of a photo with alpha, and those that
-a lens does not show.
+A mask is an image that is dark where the photo does not count. Nor do transparent pixels of a photo
+with alpha, and those that a lens does not show. Masks have the names that other programs give them:
+
+| program | mask of a/b.jpg |
+|---|---|
+| COLMAP, Meshroom, this one | masks/a/b.jpg.png, masks/a/b.png |
+| OpenDroneMap, Metashape, OpenMVS | a/b_mask.jpg, a/b_mask.png |
+| RealityScan | a/b.jpg.mask.png, a/.mask/b.png |
+| others | masks/, mask/, ... in the folder of the photos or beside it, with the name of the photo |
 """
 
-from collections.abc import Iterator
+import os
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
-from clsplat.io.photos.beside import check_shape, photo_size
-from clsplat.io.photos.images import read_alpha
-from clsplat.io.photos.mask_files import MaskFiles, mask_folders
+from clsplat.io.photos.images import image_size, read_alpha
 from clsplat.io.photos.photo import Source, opened
 from clsplat.io.photos.resample import resample
+from clsplat.io.scenes.sources import PHOTO_SUFFIXES
 from clsplat.scene import Scene, View
 
+MASKS = "masks"
+FOLDERS = (MASKS, "mask", "image_masks", "images_mask", "images_masks", ".mask")
+MARKED = re.compile(r"(.+)(?:_mask|\.mask)", re.IGNORECASE)  # a name without its suffix
 LEAST_BRIGHT = 128  # of 255, of pixels that count
+TOLERANCE = 0.02  # of the ratio of the sides of an image and its photo
+
+
+def photo_of(name: str) -> str:
+    """The name or the stem of the photo of which a name is that of a mask; "" if it is not."""
+    path = PurePosixPath(name)
+    found = MARKED.fullmatch(path.stem) if path.suffix.lower() in PHOTO_SUFFIXES else None
+    return found[1] if found else ""
+
+
+def mask_folders(folder: Path) -> list[Path]:
+    """The folders of masks in a folder."""
+    return [folder / name for name in FOLDERS if (folder / name).is_dir()]
+
+
+class MaskFiles:
+    """Finds the masks of photos.
+
+    Parameters
+    ----------
+    folders : of masks, in which they have the names of photos.
+    beside : whether masks are also searched beside each photo, and in folders beside it.
+
+    Attributes
+    ----------
+    used : masks that were found.
+    """
+
+    def __init__(self, folders: Iterable[Path], beside: bool = True) -> None:
+        self._folders, self._beside = tuple(folders), beside
+        self._known: dict[tuple[Path, bool], dict[str, Path]] = {}
+        self.used: set[Path] = set()
+
+    def of(self, name: str, photo: Path | None = None) -> Path | None:
+        """The mask of a photo; None: it has none.
+
+        Parameters
+        ----------
+        name : of the photo below the folders, with slashes.
+        photo : its file.
+        """
+        relative = Path(name)
+        places = [((folder / relative).parent, False) for folder in self._folders]
+        if photo is not None and self._beside:
+            places.append((photo.parent, True))
+            places += [((above / folder / photo.relative_to(above)).parent, False)
+                       for above in photo.parents[:len(relative.parts)] for folder in FOLDERS]
+        names = [relative.name] if photo is None else [relative.name, photo.name]
+        for place in places:
+            found = self._files(*place)
+            for each in names:
+                mask = found.get(each) or found.get(PurePosixPath(each).stem)
+                if mask and not (photo and os.path.samefile(mask, photo)):
+                    self.used.add(mask)
+                    return mask
+        return None
+
+    def _files(self, folder: Path, only_marked: bool) -> dict[str, Path]:
+        """The masks of a folder, by the names or the stems of photos."""
+        if (folder, only_marked) not in self._known:
+            found: dict[str, Path] = {}
+            names = os.listdir(folder) if folder.is_dir() else []
+            # in the format that most have, if there are several
+            for name in sorted(names, key=lambda name: (not name.endswith(".png"), name)):
+                path = PurePosixPath(name)
+                if path.suffix.lower() not in PHOTO_SUFFIXES:
+                    continue
+                marked = photo_of(name)
+                for key in [marked] if marked else [] if only_marked else [path.stem, name]:
+                    found.setdefault(key, folder / name)
+            self._known[folder, only_marked] = found
+        return self._known[folder, only_marked]
 
 
 def with_masks(scene: Scene, folder: Path) -> Scene:
@@ -34,11 +116,10 @@ def with_masks(scene: Scene, folder: Path) -> Scene:
     if folders and not count:
         raise InputError(f"{folders[0]}: has no mask for any photo; name them after the photos,"
                          f" such as {scene.views[0].name}.png, or rename the folder")
-    if not files.used and not folders:
+    if not files.used:
         return replace(scene, views=views)
-    places = sorted({mask.parent.name for mask in files.used})
-    where = f" in {', '.join(f'{place}/' for place in places)}" if places else ""
-    note = (f"{count} of {len(views)} photos have a mask{where}: dark pixels are left out of "
+    places = ", ".join(sorted({f"{mask.parent.name}/" for mask in files.used}))
+    note = (f"{count} of {len(views)} photos have a mask in {places}: dark pixels are left out of "
             "training and scores")
     return replace(scene, views=views, notes=(*scene.notes, note))
 
@@ -52,18 +133,31 @@ def stored_masks(view: View) -> Iterator[NDArray[np.bool_]]:
         yield read_alpha(view.source) >= LEAST_BRIGHT
 
 
+def photo_size(view: View) -> tuple[int, int]:
+    """(width, height) of the photo of a view as it is stored, pixels."""
+    return view.lens.size if view.lens else image_size(view.source)
+
+
+def check_shape(name: str | Path, kind: str, size: tuple[int, int], photo: tuple[int, int]) -> None:
+    """Check that a mask or a depth map has the shape of its photo, at any size.
+
+    Parameters
+    ----------
+    name, kind : of the image, for the message.
+    size, photo : (width, height) of the image and of the photo, pixels.
+    """
+    if abs(size[0] * photo[1] / (size[1] * photo[0]) - 1) > TOLERANCE:
+        raise InputError(f"{name}: the {kind} has {size[0]}x{size[1]} pixels and its photo "
+                         f"{photo[0]}x{photo[1]}; make it for this photo")
+
+
 def read_mask(source: Source, name: str | Path, photo: tuple[int, int]) -> NDArray[np.bool_]:
     """Read which pixels of a photo count, by its mask: bool[h, w], of any size.
 
     Parameters
     ----------
-    source : of the mask.
-    name : for messages.
+    source, name : of the mask; the name is for messages.
     photo : (width, height) of the photo as it is stored, pixels.
-
-    Raises
-    ------
-    InputError : the mask is not an image that can be read, or does not fit.
     """
     with opened(source) as mask:
         bright, row, most = np.empty((mask.height, mask.width), bool), 0, 0

@@ -5,21 +5,21 @@ finite number or cannot be true is None.
 """
 
 import math
-import re
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from clsplat.io.photos.photo import Photo, opened
-from clsplat.io.regular import open_regular
 
 MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # of EXIF's FocalPlaneResolutionUnit
 FILM_DIAGONAL = math.hypot(36, 24)  # millimetres
 HIGHEST = 100_000.0  # metres; no camera with GPS is farther from sea level
-COARSE = 1e-6  # degrees, 0.1 m; EXIF that is rounded to more gives way to XMP
-XMP_BYTES = 1 << 18  # from the beginning of a file, among which XMP is
 UNIT_DEGREES = (1.0, 1 / 60, 1 / 3600)
-DJI, PIX4D = "drone-dji:", "Camera:"
+DJI = "drone-dji:"
+# standard deviations of a position, east, north and up: of DJI's RTK, and Pix4D's for other makers
+GPS_STD = ([f"{DJI}RtkStd{axis}" for axis in ("Lon", "Lat", "Hgt")],
+           [f"Camera:GPS{axis}Accuracy" for axis in ("XY", "XY", "Z")])
 QUARTERS = {3: 2, 6: 1, 8: 3}  # EXIF orientation -> clockwise quarter turns
 
 
@@ -95,7 +95,7 @@ def read_metadata(path: str | Path) -> PhotoMetadata:
     InputError : the file is not a photo that can be read.
     """
     with opened(path) as photo:
-        latitude, longitude = _position(photo, path)
+        latitude, longitude = _position(photo)
         return PhotoMetadata(
             photo.width, photo.height,
             photo.orientation if photo.orientation in range(1, 9) else 1,
@@ -110,9 +110,12 @@ def read_metadata(path: str | Path) -> PhotoMetadata:
 def _numbers(photo: Photo, name: str) -> list[float]:
     """The finite numbers of an attribute, of which a text may be one; [] if any is not."""
     value = photo.attribute(name)
+    return _finite(value if isinstance(value, (tuple, list)) else [value])
+
+
+def _finite(parts: Iterable[Any]) -> list[float]:
     try:
-        parts = value if isinstance(value, (tuple, list)) else [value]
-        values = [float(part) for part in parts]  # type: ignore[arg-type]
+        values = [float(part) for part in parts]
     except (TypeError, ValueError):
         return []
     return values if all(map(math.isfinite, values)) else []
@@ -134,54 +137,35 @@ def _words(photo: Photo, *names: str) -> str:
     return " ".join(filter(None, (_text(photo, name) for name in names)))
 
 
-def _position(photo: Photo, path: str | Path) -> tuple[float, float] | tuple[None, None]:
-    """Latitude and longitude, or twice None. Of EXIF and XMP the finer one is taken, if both agree
-    within the rounding of EXIF."""
+def _position(photo: Photo) -> tuple[float, float] | tuple[None, None]:
+    """Latitude and longitude, or twice None: of EXIF or, if that has none or whole seconds with
+    which it agrees, of XMP."""
     exif = _degrees(photo, "Latitude", "S", 90), _degrees(photo, "Longitude", "W", 180)
-    (latitude, fine), (longitude, fine_too) = exif
-    if latitude is None or longitude is None or max(fine, fine_too) > COARSE:
-        xmp = (_exact(photo, path, 90, "GpsLatitude"),  # DJI's older programs misspell the other
-               _exact(photo, path, 180, "GpsLongitude", "GpsLongtitude"))
-        if None not in xmp and xmp != (0, 0) and (latitude is None or longitude is None or all(
-                abs(rough - exact) <= rounding  # type: ignore[operator]
-                for (rough, rounding), exact in zip(exif, xmp))):
-            latitude, longitude = xmp
+    longitudes = [_number(photo, DJI + name, 180)  # DJI's older programs misspell it
+                  for name in ("GpsLongitude", "GpsLongtitude")]
+    xmp = (_number(photo, DJI + "GpsLatitude", 90),
+           next((value for value in longitudes if value is not None), None))
+    is_whole = not any(part % 1 for name in ("Latitude", "Longitude")
+                       for part in _numbers(photo, "GPS:" + name))
+    if None not in xmp and xmp != (0, 0) and (None in exif or is_whole and all(
+            abs(rough - fine) <= UNIT_DEGREES[-1]  # type: ignore[operator]
+            for rough, fine in zip(exif, xmp))):
+        exif = xmp
+    latitude, longitude = exif
     # a receiver without satellites writes zeros
     if latitude is None or longitude is None or latitude == longitude == 0:
         return None, None
     return latitude, longitude
 
 
-def _exact(photo: Photo, path: str | Path, limit: float, *names: str) -> float | None:
-    """A number of DJI's XMP, of which OpenImageIO keeps seven digits."""
-    for name in names:
-        value = _number(photo, DJI + name, limit)
-        if value is not None:
-            with open_regular(path) as file:
-                content = file.read(XMP_BYTES)
-            found = re.search(rf"{DJI}{name}\s*(?:=\s*[\"']|>)\s*([-+.\d]+)".encode(), content)
-            digits = _finite([found[1].decode()]) if found else []
-            return digits[0] if digits and abs(digits[0] - value) < 1e-4 else value
-    return None
-
-
-def _degrees(photo: Photo, name: str, negative: str, limit: float) -> tuple[float | None, float]:
-    """An angle of EXIF, which has one to three parts, and by how much it is rounded, degrees."""
+def _degrees(photo: Photo, name: str, negative: str, limit: float) -> float | None:
+    """An angle of EXIF, which has one to three parts."""
     parts = _numbers(photo, "GPS:" + name)
     if not 1 <= len(parts) <= 3 or min(parts) < 0:
-        return None, 0.0
+        return None
     value = sum(part * unit for part, unit in zip(parts, UNIT_DEGREES))
-    last = max((row for row, part in enumerate(parts) if part), default=0)
-    rounding = _rounding(parts[last]) * UNIT_DEGREES[last]
     sign = -1 if _text(photo, f"GPS:{name}Ref")[:1].upper() == negative else 1
-    return (sign * value if value <= limit else None), rounding
-
-
-def _rounding(value: float) -> float:
-    """By how much a number is rounded that is written with few digits, or in 32 bits."""
-    noise = value * 2.0**-22
-    return next((10.0**-digits for digits in range(7)
-                 if abs(value - round(value, digits)) <= noise), noise)
+    return sign * value if value <= limit else None
 
 
 def _altitude(photo: Photo) -> float | None:
@@ -193,47 +177,36 @@ def _altitude(photo: Photo) -> float | None:
 
 
 def _gps_std(photo: Photo) -> tuple[float, float, float] | None:
-    values = [_number(photo, f"{DJI}RtkStd{axis}", HIGHEST) for axis in ("Lon", "Lat", "Hgt")]
-    if None in values:
-        ground, height = (_number(photo, f"{PIX4D}GPS{axis}Accuracy", HIGHEST)
-                          for axis in ("XY", "Z"))
-        values = [ground, ground, height]
-    east, north, up = values
-    if east is None or north is None or up is None or min(east, north, up) <= 0:
-        return None
-    return east, north, up
+    for names in GPS_STD:
+        values = [_number(photo, name, HIGHEST) or 0.0 for name in names]
+        if min(values) > 0:
+            east, north, up = values
+            return east, north, up
+    return None
 
 
 def _reduction(photo: Photo) -> float:
     """How many times the photo is larger than when the camera wrote its header."""
-    taken = _number(photo, "Exif:PixelXDimension", 1e9), _number(photo, "Exif:PixelYDimension", 1e9)
-    width, height = taken
-    if width is None or height is None or min(width, height) < 1:
-        return 1.0
-    return max(photo.width, photo.height) / max(width, height)
+    taken = [_number(photo, f"Exif:Pixel{axis}Dimension", 1e9) or 0.0 for axis in "XY"]
+    return max(photo.width, photo.height) / max(taken) if min(taken) >= 1 else 1.0
 
 
 def _focal_pixels(photo: Photo) -> float | None:
     """The focal length by the resolution of the sensor, or else by the equivalent of 35 mm film,
     which makers take by the diagonal."""
     size = math.hypot(photo.width, photo.height)
-    millimetres = _number(photo, "Exif:FocalLength", 1e5)
-    per_unit = _number(photo, "Exif:FocalPlaneXResolution", 1e9)
-    unit = MILLIMETRES.get(int(_number(photo, "Exif:FocalPlaneResolutionUnit", 5) or 2))
-    film = _number(photo, "Exif:FocalLengthIn35mmFilm", 1e5)
-    estimates = []
-    if millimetres and per_unit and unit:
-        estimates.append(millimetres / unit * per_unit * _reduction(photo))
-    if film:
-        estimates.append(film / FILM_DIAGONAL * size)
+    millimetres = _number(photo, "Exif:FocalLength", 1e5) or 0.0
+    per_unit = _number(photo, "Exif:FocalPlaneXResolution", 1e9) or 0.0
+    unit = MILLIMETRES.get(int(_number(photo, "Exif:FocalPlaneResolutionUnit", 5) or 2), math.inf)
+    film = _number(photo, "Exif:FocalLengthIn35mmFilm", 1e5) or 0.0
+    estimates = millimetres / unit * per_unit * _reduction(photo), film / FILM_DIAGONAL * size
     # a sensor resolution in wrong units gives angles of view that no lens has
     return next((value for value in estimates if 0.1 * size < value < 100 * size), None)
 
 
 def _calibration(photo: Photo) -> Calibration | None:
     """DJI's DewarpData: "date;fx,fy,cx,cy,k1,k2,p1,p2,k3", the centre from the photo's middle."""
-    text = _text(photo, DJI + "DewarpData").rpartition(";")[2].split(",")
-    values = _finite(text)
+    values = _finite(_text(photo, DJI + "DewarpData").rpartition(";")[2].split(","))
     if len(values) != 9 or _number(photo, DJI + "DewarpFlag", 1) == 1:  # 1: it is corrected
         return None
     scale = _reduction(photo)
@@ -245,11 +218,3 @@ def _calibration(photo: Photo) -> Calibration | None:
     k1, k2, p1, p2, k3 = values[4:]
     return Calibration((focal_x, focal_y), (photo.width / 2 + x, photo.height / 2 + y),
                        (k1, k2, p1, p2, k3))
-
-
-def _finite(texts: Sequence[str]) -> list[float]:
-    try:
-        values = [float(text) for text in texts]
-    except ValueError:
-        return []
-    return values if all(map(math.isfinite, values)) else []

@@ -27,7 +27,7 @@ CONVERT = "convert it to JPEG or PNG"
 COLOUR_MODELS = (0, 1, 2, 3, 5, 6)
 FLOAT_SAMPLES = ("half", "float")
 Levels = tuple[float, float]  # samples of 16 bits that become black and white
-Source = str | Path | bytes | NDArray[Any]  # a file, an encoded photo, or pixels: see `ArrayInput`
+Source = str | Path | bytes | NDArray[Any]  # a file, an encoded photo, or pixels: see `opened`
 LUMINANCE_CHANNELS, LINEAR_FORMATS = ("Y", "I", "L"), ("openexr", "hdr")
 
 
@@ -159,14 +159,8 @@ def _colour_channels(spec: Any, kind: str, name: str | Path) -> tuple[int, int, 
     return (0, 1, 2) if spec.nchannels > 2 and kind not in LINEAR_FORMATS else (0, 0, 0)
 
 
-class ArrayInput:
-    """An array with those methods of OpenImageIO's input that `Photo` calls.
-
-    Parameters
-    ----------
-    pixels : uint8, uint16 or float32 [H, W] or [H, W, C], sRGB; floats in 0 to 1. One channel is
-        grey; a second or a fourth one is alpha.
-    """
+class _ArrayInput:
+    """An array with those methods of OpenImageIO's input that `Photo` calls."""
 
     def __init__(self, pixels: NDArray[Any]) -> None:
         import OpenImageIO as oiio
@@ -184,15 +178,12 @@ class ArrayInput:
         self._spec.attribute("oiio:ColorSpace", "sRGB")
 
     def spec(self) -> Any:
-        """The header."""
         return self._spec
 
     def format_name(self) -> str:
-        """No format of files."""
         return "array"
 
     def geterror(self) -> str:
-        """There is none."""
         return ""
 
     def read_scanlines(self, begin: int, end: int, *others: Any) -> NDArray[Any]:
@@ -208,8 +199,13 @@ class ArrayInput:
 
 @contextmanager
 def opened(source: Source) -> Iterator[Photo]:
-    """Open a photo: a path, encoded bytes, or an array as `ArrayInput` takes it; InputError if it
-    is not a photo."""
+    """Open a photo; InputError if it is none.
+
+    Parameters
+    ----------
+    source : a path, encoded bytes, or an array uint8, uint16 or float32 [H, W] or [H, W, C], sRGB,
+        floats in 0 to 1. One channel is grey; a second or a fourth one is alpha.
+    """
     with _input(source) as (name, image):
         yield Photo(name, image)
 
@@ -233,7 +229,7 @@ def first_channel(path: Path) -> NDArray[Any]:
 def _input(source: Source) -> Iterator[tuple[str | Path, Any]]:
     """The name of an image for messages, and OpenImageIO's input of it."""
     if isinstance(source, np.ndarray):
-        yield f"array {list(source.shape)}", ArrayInput(source)
+        yield f"array {list(source.shape)}", _ArrayInput(source)
         return
     if isinstance(source, bytes):
         name = f"encoded image of {len(source)} bytes"

@@ -22,9 +22,9 @@ from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
 from clsplat.io.photos.depth import undistorted_depth
 from clsplat.io.photos.images import image_size, read_image, write_image
-from clsplat.io.photos.interpolate import Patch, patches
 from clsplat.io.photos.lenses import PANORAMA, pixel_map
 from clsplat.io.photos.masks import stored_masks, unmasked
+from clsplat.io.photos.resample import Patch, patches
 from clsplat.io.records import object_of, write_object
 from clsplat.scene import Scene, View
 
@@ -56,18 +56,12 @@ def undistorted_photo(view: View, pixels: NDArray[np.float32]) -> NDArray[np.uin
 
 
 def undistorted_valid(view: View, pixels: NDArray[np.float32]) -> NDArray[np.bool_] | None:
-    """Read which pixels of a view with a lens count.
-
-    A pixel does not count where the stored photo does not show it, or where masked pixels have a
-    share in it.
+    """Read which pixels of a view with a lens count, bool[H, W]; None: all. Those do not that the
+    stored photo does not show, or in which masked pixels have a share.
 
     Parameters
     ----------
     pixels : float32[2, H, W], the `pixel_map` of the lens.
-
-    Returns
-    -------
-    bool[H, W]; None: all.
     """
     valid = np.isfinite(pixels[0])
     for mask in stored_masks(view):
@@ -146,10 +140,7 @@ def _make(folder: Path, pixels: NDArray[np.float32], view: View) -> None:
 
 def _kept(view: View, folder: Path) -> View | None:
     """The view with its files in place of its lens; None if one is missing, or if they were made
-    from another photo, mask, depth map or lens.
-
-    A view without a depth map has its files even if they were made with one.
-    """
+    from another photo, mask, depth map or lens."""
     photo, mask, record = _paths(view, folder)
     try:
         known = object_of(record.read_bytes())

@@ -10,7 +10,7 @@ from clsplat.errors import InputError
 from clsplat.io.folders import link_file, make_folder
 from clsplat.io.georeference.files import write_placement
 from clsplat.io.photos.images import encode_image
-from clsplat.io.photos.mask_files import MASKS
+from clsplat.io.photos.masks import MASKS
 from clsplat.io.photos.views import read_photo, read_valid
 from clsplat.io.scenes.colmap_files import Tracks, write_colmap
 from clsplat.scene import Scene, View

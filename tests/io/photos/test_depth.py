@@ -7,8 +7,7 @@ import OpenImageIO as oiio
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.photos.beside import file_beside
-from clsplat.io.photos.depth import read_depth, with_depths
+from clsplat.io.photos.depth import map_of, read_depth, with_depths
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.lenses import undistorted_model
 from clsplat.io.scenes.read import read_scene
@@ -75,7 +74,7 @@ def test_a_plane_in_the_faces_of_a_wide_lens(tmp_path):
     shares = {}
     for view in views_of(arrays, tmp_path / "a.png"):
         camera = view.camera
-        depth = read_depth(replace(view, depth=file_beside(tmp_path, view, (".npy",))))
+        depth = read_depth(replace(view, depth=map_of(tmp_path, view)))
         rows, columns = np.nonzero(depth)
         inside = (np.stack([columns, rows], axis=1) + 0.5 - camera.centre) / camera.focal
         rays = np.column_stack([inside, np.ones(len(rows))]) @ camera.rotation

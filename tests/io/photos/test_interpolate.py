@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from clsplat.io.photos import interpolate as module
-from clsplat.io.photos.interpolate import patches
+from clsplat.io.photos import resample as module
+from clsplat.io.photos.resample import patches
 
 
 def interpolated(image, places, round_trip=False):

@@ -1,15 +1,21 @@
 """Masks beside photos and alpha: which pixels count, and messages about masks that do not fit."""
 
+import os
+import shutil
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from clsplat.errors import InputError
 from clsplat.io.photos.images import write_image
+from clsplat.io.photos.masks import photo_of
 from clsplat.io.photos.views import read_valid
 from clsplat.io.scenes.read import read_scene
+from clsplat.sfm.photos import find_photos
 from clsplat.training.photos import decode
 from tests.data.tiny_model import HEIGHT, WIDTH, write_scene
+from tests.io.shared_cases import CASES, needs_cases
 
 
 @pytest.fixture
@@ -28,12 +34,9 @@ def half(width=WIDTH, height=HEIGHT):
     return valid
 
 
-@pytest.mark.parametrize("name", ["photo_1.png", "photo_1.png.png"])
-def test_a_mask_is_found_by_name(folder, name):
-    put_mask(folder, name, half())
+def test_masked_pixels_do_not_count(folder):
+    put_mask(folder, "photo_1.png", half())
     scene = read_scene(folder)
-    assert [view.mask is not None for view in scene.views] == [False, True, False, False]
-    assert any("1 of 4 photos have a mask" in note for note in scene.notes)
     assert np.array_equal(read_valid(scene.views[1]), half()) and read_valid(scene.views[0]) is None
     planes = decode(scene.views[1])
     assert planes.shape == (4, HEIGHT, WIDTH) and np.array_equal(planes[3] == 255, half())
@@ -81,3 +84,97 @@ def test_masks_that_do_not_fit(folder, spoil, words):
     spoil(folder)
     with pytest.raises(InputError, match=words):
         read_valid(read_scene(folder).views[1])
+
+
+DARK_LEFT = np.tile(np.where(np.arange(48) < 24, 0, 255).astype(np.uint8), (36, 1))
+# names of the mask of photo_1.png, from the scene's folder
+NAMES = ("masks/photo_1.png", "masks/photo_1.png.png", "mask/photo_1.bmp",
+         "images/photo_1_MASK.tif", "images/photo_1.png.mask.png", "images/.mask/photo_1.png",
+         "images/mask/photo_1.png.png")
+
+
+def put(path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.repeat(DARK_LEFT[..., None], 3, 2)).save(path)
+
+
+@needs_cases
+@pytest.mark.parametrize("name", ["photos_odm_mask", "photos_realityscan_mask",
+                                  "photos_masks_folder_same_name"])
+def test_cases(name):
+    photos, refused = find_photos(CASES / name)
+    assert [photo.name for photo in photos] == [f"DJI_000{n}.JPG" for n in range(6)]
+    assert all(photo.mask is not None and photo.name[:8] in photo.mask.name for photo in photos)
+    assert refused == {}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_scene_and_a_reconstruction_use_the_mask(folder, name):
+    put(folder / name)
+    scene = read_scene(folder)
+    assert [view.mask is not None for view in scene.views] == [False, True, False, False]
+    valid = read_valid(scene.views[1])
+    assert not valid[:, :23].any() and valid[:, 25:].all()
+    note, = (note for note in scene.notes if "have a mask" in note)
+    assert note.startswith("1 of 4 photos have a mask in ")
+    shutil.rmtree(folder / "sparse")
+    photos, refused = find_photos(folder)
+    assert [photo.name for photo in photos] == [f"photo_{n}.png" for n in range(4)]
+    assert [photo.mask is not None for photo in photos] == [False, True, False, False]
+    assert refused == {}
+
+
+@pytest.mark.parametrize("name", ["other_mask.png", "sub/photo_1_mask.jpg"])
+def test_masks_without_a_photo_are_named_and_not_used(folder, name):
+    folder = folder / "images"
+    put(folder / name)
+    photos, refused = find_photos(folder)
+    assert len(photos) == 4 and not any(photo.mask for photo in photos)
+    assert refused == {name: "it is named as a mask, and the photo is missing: it is not used"}
+    put(folder / "masks/photo_1.png")
+    put(folder / "masks/photo_9.png")
+    photos, refused = find_photos(folder)
+    assert len(photos) == 4 and photos[1].mask == folder / "masks/photo_1.png"
+    assert set(refused) == {name, "masks/photo_9.png"}
+
+
+def test_masks_of_subfolders_are_those_of_their_photos(folder):
+    folder = folder / "images"
+    for name in ("a/x.png", "b/x.png", "x.png"):
+        put(folder / name)
+    for name in ("a/mask/x.png", "masks/b/x.png"):
+        put(folder / name)
+    found = {photo.name: photo.mask for photo in find_photos(folder)[0]}
+    assert found["a/x.png"] == folder / "a/mask/x.png"
+    assert found["b/x.png"] == folder / "masks/b/x.png" and found["x.png"] is None
+
+
+def test_masks_of_a_scene_below_the_photos_are_not_theirs(folder):
+    folder = folder / "images"
+    put(folder / "scene/masks/photo_1.png")
+    put(folder / "scene/images/photo_1.png")
+    (folder / "scene/sfm.json").touch()
+    photos, refused = find_photos(folder)
+    assert len(photos) == 4 and not any(photo.mask for photo in photos) and refused == {}
+
+
+def test_folders_that_link_to_themselves(folder):
+    folder = folder / "images"
+    os.symlink(folder, folder / "masks")
+    photos, _ = find_photos(folder)
+    assert [photo.name for photo in photos] == [f"photo_{n}.png" for n in range(4)]
+    assert not any(photo.mask for photo in photos)
+
+
+def test_a_folder_beside_the_photos_without_any_of_their_masks(folder):
+    put(folder / "mask/other.png")
+    for read in (find_photos, read_scene):
+        with pytest.raises(InputError, match="mask: has (no mask for any photo|a mask for none)"):
+            read(folder)
+
+
+@pytest.mark.parametrize("name, photo", [
+    ("a_mask.JPG", "a"), ("a.JPG.mask.png", "a.JPG"), ("a.mask.tif", "a"), ("x/a_mask.png", "a"),
+    ("a.jpg", ""), ("_mask.png", ""), ("a_mask.txt", ""), ("a_masks.png", "")])
+def test_names_of_masks(name, photo):
+    assert photo_of(name) == photo

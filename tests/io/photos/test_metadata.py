@@ -4,7 +4,6 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from clsplat.errors import InputError
 from clsplat.io.photos.metadata import read_metadata
 
 GPS = {"GPS:LatitudeRef": "S", "GPS:Latitude": (30.0, 10.0, 16.14), "GPS:LongitudeRef": "W",
@@ -76,21 +75,14 @@ OF_XMP, OF_EXIF = (42.298913477, -71.101793218), (42 + 17 / 60 + 56 / 3600, -71.
     ({"GPS:Altitude": 12.5}, {}, OF_XMP, 12.5),
     ({}, {"AbsoluteAltitude": "nan"}, OF_XMP, 0),
     ({}, {"GpsLatitude": "+42.31"}, OF_EXIF, 433.86),  # it does not agree
-    ({}, {"GpsLatitude": "0", "GpsLongitude": "0"}, OF_EXIF, 433.86),
     ({}, {"GpsLatitude": "a"}, OF_EXIF, 433.86),  # XMP has a longitude alone
     ({"GPS:Latitude": (42.0, 17.0, 56.0885), "GPS:Longitude": (71.0, 6.0, 6.4556)}, {},
      (42.29891347, -71.10179322), 433.86),
-    ({"GPS:Latitude": (42.2989, 0.0, 0.0), "GPS:Longitude": (71.1018, 0.0, 0.0)}, {}, OF_XMP,
-     433.86),  # few decimals of degrees
-    ({"GPS:Latitude": (42.0, 17.935, 0.0), "GPS:Longitude": (71.0, 6.108, 0.0)}, {}, OF_XMP,
-     433.86),  # and of minutes
     ({"GPS:Status": "V", "GPS:LatitudeRef": "North", "GPS:LongitudeRef": "w"}, {}, OF_XMP, 433.86),
-    ({"GPS:Altitude": 5.0, "GPS:AltitudeRef": 1}, {}, OF_XMP, -5),
-    ({"GPS:Altitude": 5.0, "GPS:AltitudeRef": 2}, {}, OF_XMP, 5),
     ({"GPS:Altitude": 5.0, "GPS:AltitudeRef": 3}, {}, OF_XMP, -5)])
 def test_the_finer_of_two_sources_that_agree(tmp_path, exif, xmp, place, altitude):
     data = read_metadata(photo(tmp_path / "a.jpg", {**COARSE, **exif}, {**FINE, **xmp}))
-    assert (data.latitude, data.longitude) == pytest.approx(place, abs=1e-8)
+    assert (data.latitude, data.longitude) == pytest.approx(place, abs=5e-6)  # of 32 bits
     assert data.altitude == pytest.approx(altitude, abs=1e-4)
     assert data.void == ("GPS:Status" in exif)
     assert data.above_ellipsoid == (exif.get("GPS:AltitudeRef") in (2, 3))
@@ -144,14 +136,3 @@ def test_dji(tmp_path):
     {"DewarpData": "2022;nan,59,-1,2,0,0,0,0,0"}, {"DewarpData": "2022;0,59,-1,2,0,0,0,0,0"}])
 def test_a_calibration_that_does_not_hold_is_left_out(tmp_path, change):
     assert read_metadata(photo(tmp_path / "a.jpg", xmp={**DJI, **change})).calibration is None
-
-
-def test_exif_counts_before_xmp(tmp_path):
-    data = read_metadata(photo(tmp_path / "a.jpg", GPS, DJI))
-    assert data.latitude < 0 and data.altitude == pytest.approx(318.9, abs=1e-3)
-
-
-def test_what_is_not_a_photo_is_refused(tmp_path):
-    (tmp_path / "a.jpg").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="a.jpg: not an image"):
-        read_metadata(tmp_path / "a.jpg")
