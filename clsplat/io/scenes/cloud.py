@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.fields import LARGEST_COORDINATE
 from clsplat.io.models.ply import read_vertices
@@ -25,7 +24,6 @@ NEIGHBOURS = 16  # nearest views, of which one more must see a sampled point
 DEPTHS = (0.5, 8.0)  # of sampled points, in distances to the farthest of those neighbours
 LEAST_ANGLE = np.radians(1.0)  # between two views of a sampled point
 COLOUR_PHOTOS, COLOUR_SIZE = 16, (32, 24)  # photos of the mean colour; width and height, pixels
-
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +95,36 @@ def sample_points(path: str | Path, views: Sequence[View]) -> NDArray[np.float64
     """
     random = np.random.default_rng(0)
     count = min(POINTS_A_VIEW * len(views), MOST_POINTS)
-    cameras = _Cameras([view.camera for view in views])
+    cameras = [view.camera for view in views]
+    rotation, translation, focal, centre, size, position = map(np.array, zip(*(
+        (camera.rotation, camera.translation, camera.focal, camera.centre,
+         (camera.width, camera.height), camera.position) for camera in cameras), strict=True))
+    most = min(NEIGHBOURS + 1, len(cameras))
+    away, nearest = cKDTree(position).query(position, [*range(1, most + 1)])
+    low, high = np.log(DEPTHS).tolist()
+
+    def directions(view: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        rays: NDArray[np.float64] = points - position[view]
+        rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), np.finfo(float).tiny)
+        return rays
+
     kept = np.zeros((0, 3))
     for _ in range(MOST_ROUNDS):
+        view = random.integers(0, len(cameras), count)
+        pixel = random.uniform(size=(count, 2)) * size[view]
         with np.errstate(all="ignore"):  # points behind a camera, or too far, are not kept
-            points, view = cameras.sample(random, count)
-            seen = (cameras.seen_again(points, view)
-                    & (np.abs(points) <= LARGEST_COORDINATE).all(axis=1))
+            depth = away[view, -1] * np.exp(random.uniform(low, high, count))
+            ray = np.column_stack([(pixel - centre[view]) / focal[view], np.ones(count)])
+            points = np.einsum("nji,nj->ni", rotation[view],
+                               ray * depth[:, None] - translation[view])
+            seen, own = np.zeros(count, bool), directions(view, points)
+            for other in nearest[view].T:
+                local = np.einsum("nij,nj->ni", rotation[other], points) + translation[other]
+                pixel = local[:, :2] / local[:, 2:] * focal[other] + centre[other]
+                inside = (local[:, 2] > 0) & ((pixel > 0) & (pixel < size[other])).all(axis=1)
+                apart = np.linalg.norm(own - directions(other, points), axis=1)
+                seen |= inside & (apart > LEAST_ANGLE)
+            seen &= (np.abs(points) <= LARGEST_COORDINATE).all(axis=1)
         kept = np.concatenate([kept, points[seen]])
         if len(kept) >= count:
             break
@@ -111,52 +132,6 @@ def sample_points(path: str | Path, views: Sequence[View]) -> NDArray[np.float64
         raise InputError(f"{path}: no points, and no two cameras see the same place from different "
                          "positions; put points3D.ply beside it, or reconstruct with COLMAP")
     return kept[:count]
-
-
-class _Cameras:
-    """Many cameras as arrays, and the nearest neighbours of each."""
-
-    def __init__(self, cameras: Sequence[Camera]) -> None:
-        self.rotation = np.array([c.rotation for c in cameras])
-        self.translation = np.array([c.translation for c in cameras])
-        self.focal = np.array([c.focal for c in cameras])
-        self.centre = np.array([c.centre for c in cameras])
-        self.size = np.array([(c.width, c.height) for c in cameras])
-        self.position = np.array([c.position for c in cameras])
-        count = min(NEIGHBOURS + 1, len(cameras))
-        distance, nearest = cKDTree(self.position).query(self.position, k=count)
-        self.away = distance.reshape(len(cameras), count)[:, -1]
-        self.nearest = nearest.reshape(len(cameras), count)
-
-    def sample(self, random: np.random.Generator, count: int
-               ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Points float64[count, 3], and int[count], the view on whose ray each lies."""
-        view = random.integers(0, len(self.size), count)
-        pixel = random.uniform(size=(count, 2)) * self.size[view]
-        nearest, farthest = np.log(DEPTHS).tolist()
-        depth = self.away[view] * np.exp(random.uniform(nearest, farthest, count))
-        ray = np.column_stack([(pixel - self.centre[view]) / self.focal[view], np.ones(count)])
-        local = ray * depth[:, None] - self.translation[view]
-        return np.einsum("nji,nj->ni", self.rotation[view], local), view
-
-    def seen_again(self, points: NDArray[np.float64], view: NDArray[np.int64]
-                   ) -> NDArray[np.bool_]:
-        """bool[N]: whether a neighbour of its view sees a point from another direction."""
-        seen = np.zeros(len(points), bool)
-        own = _directions(self.position[view], points)
-        for other in self.nearest[view].T:
-            local = np.einsum("nij,nj->ni", self.rotation[other], points) + self.translation[other]
-            pixel = local[:, :2] / local[:, 2:] * self.focal[other] + self.centre[other]
-            inside = (local[:, 2] > 0) & ((pixel > 0) & (pixel < self.size[other])).all(axis=1)
-            apart = np.linalg.norm(own - _directions(self.position[other], points), axis=1)
-            seen |= inside & (apart > LEAST_ANGLE)
-        return seen
-
-
-def _directions(begin: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
-    ray = end - begin
-    ray /= np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), np.finfo(float).tiny)
-    return ray
 
 
 def mean_colour(views: Sequence[View]) -> NDArray[np.uint8]:

@@ -32,6 +32,10 @@ from clsplat.scene import Scene
 if TYPE_CHECKING:
     import pycolmap
 
+# of CityGS's data sets (Liu et al. 2024): COLMAP folders in one world frame, and those of photos
+TRAIN, VAL = "train", "val"
+PHOTOS = (IMAGES, "rgbs")
+PER_VIEW = ("names", "rotations", "translations", "focals", "centres", "sizes", "lenses")
 LONGEST_SIDE = 2**31  # pixels; what is larger is damaged, and overflows
 
 
@@ -54,6 +58,39 @@ def read_colmap(folder: str | Path, images: str = "") -> Scene:
     scene = replace(scene, path=folder, notes=tuple(_model_notes(folder, model)))
     may_be_smaller = bool(images) or photos.name != IMAGES
     return checked_photos(scene, photos if may_be_smaller else None).recentred()
+
+
+def has_parts(folder: Path) -> bool:
+    """Whether the COLMAP models of a folder are in train/ and val/."""
+    return (folder / TRAIN / "sparse").is_dir() and not (folder / "sparse").is_dir()
+
+
+def read_citygs(folder: Path) -> Scene:
+    """Read the scene of a folder whose train/ and val/ are COLMAP folders, and recentre it.
+
+    The views of val/ are held out, and the points are those of train/. Photos are in images/ or
+    rgbs/ of each part; the name of a view begins with its part.
+    """
+    if not (folder / VAL).is_dir():
+        raise InputError(f"{folder / VAL}: missing beside {TRAIN}/; to train without held-out "
+                         f"photos of their own give {folder / TRAIN}")
+    parts = [_part(folder / name) for name in (TRAIN, VAL)]
+    (train, _), (val, _) = parts
+    arrays = {key: np.concatenate([train[key], val[key]]) for key in PER_VIEW}
+    sources = [source for _, sources in parts for source in sources]
+    scene = checked_photos(checked_scene(folder, folder.resolve().name, train | arrays, sources))
+    return replace(scene, held_out=frozenset(map(str, val["names"]))).recentred()
+
+
+def _part(folder: Path) -> tuple[dict[str, NDArray[Any]], list[Path]]:
+    """The arrays of a part's model, with names below the scene's folder, and its photos."""
+    _, arrays = read_model(folder, ("points3D",) if folder.name == VAL else ())
+    photos = next((folder / name for name in PHOTOS if (folder / name).is_dir()),
+                  folder / PHOTOS[0])
+    # joined as text, so that a name with a leading slash stays below the folder
+    sources = [Path(f"{photos}/{name}") for name in arrays["files"]]
+    names = np.array([f"{folder.name}/{name}" for name in arrays["names"]])
+    return arrays | {"names": names}, sources
 
 
 def read_model(folder: Path, may_be_empty: Collection[str] = ()

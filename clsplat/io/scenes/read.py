@@ -5,7 +5,6 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.metadata import entry_points
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,7 @@ from clsplat.io.georeference.files import placed
 from clsplat.io.photos.masks import with_masks
 from clsplat.io.reason import reason
 from clsplat.io.runs.city import cropped_to_windows
-from clsplat.io.scenes.citygs import has_parts, read_citygs
-from clsplat.io.scenes.colmap import has_model, read_colmap
+from clsplat.io.scenes.colmap import has_model, has_parts, read_citygs, read_colmap
 from clsplat.io.scenes.projects.metashape import find_metashape, read_metashape
 from clsplat.io.scenes.projects.opensfm import find_opensfm, read_opensfm
 from clsplat.io.scenes.projects.opf import find_opf, read_opf
@@ -71,7 +69,9 @@ def is_scene(folder: Path) -> bool:
 def _read_folder(path: Path, images: str) -> Scene:
     for recognises, read in LAYOUTS:
         if recognises(path):
-            _no_images(path, images, "a scene that names its photos itself")
+            if images:
+                raise InputError(f"--images {images}: {path} names its photos itself; leave the "
+                                 "option out (it is for folders with a COLMAP model)")
             return read(path)
     if (path / "train" / "metadata").is_dir():
         raise InputError(f"{path}: a Mega-NeRF folder, whose metadata need PyTorch; convert them "
@@ -94,10 +94,7 @@ def _read_project(path: Path, images: str) -> Scene | None:
 
 def _projects() -> Iterator[Project]:
     """Ours, then those of other packages, which are imported only if none of ours fits."""
-    return chain(PROJECTS, _registered())
-
-
-def _registered() -> Iterator[Project]:
+    yield from PROJECTS
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         try:
             module = entry.load()
@@ -107,28 +104,21 @@ def _registered() -> Iterator[Project]:
                              f"({reason(error)}); correct or uninstall its package") from error
 
 
-def _no_images(path: Path, images: str, kind: str) -> None:
-    if images:
-        raise InputError(f"--images {images}: {path} is {kind}; leave the option out (it is for "
-                         "folders with a COLMAP model)")
-
-
 def fingerprint(scene: Scene) -> str:
     """SHA-256 of a scene's names, cameras, points and offset, by which a resumed run recognises it.
 
     Photos are left out, since reading them all would take too long.
     """
+    def stored(values: ArrayLike) -> bytes:
+        return np.asarray(values, "<f8").tobytes()
+
     digest = hashlib.sha256()
     for view in scene.views:
         camera = view.camera
         name = view.name.encode()
         digest.update(len(name).to_bytes(8, "little") + name)
-        digest.update(_bytes((camera.width, camera.height, *camera.focal, *camera.centre)))
-        digest.update(_bytes(camera.rotation) + _bytes(camera.translation))
-    digest.update(_bytes(scene.points) + _bytes(scene.offset))
+        digest.update(stored((camera.width, camera.height, *camera.focal, *camera.centre)))
+        digest.update(stored(camera.rotation) + stored(camera.translation))
+    digest.update(stored(scene.points) + stored(scene.offset))
     digest.update(np.ascontiguousarray(scene.colours, np.uint8).tobytes())
     return digest.hexdigest()
-
-
-def _bytes(values: ArrayLike) -> bytes:
-    return np.asarray(values, "<f8").tobytes()

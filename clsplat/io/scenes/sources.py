@@ -37,10 +37,6 @@ def photo_folder(folder: Path, images: str = "") -> Path:
     folder : of the scene.
     images : relative to it; "": images/, or else the first of images_2/, images_4/, ...
     """
-    try:
-        images.encode()
-    except UnicodeEncodeError:
-        raise InputError(f"--images {images!a}: its name is not UTF-8; rename it") from None
     numbered = sorted((path for path in folder.glob("images_*") if SMALLER.fullmatch(path.name)
                        and path.is_dir()), key=lambda path: int(path.name.rpartition("_")[2]))
     if images:
@@ -73,14 +69,14 @@ def checked_photos(scene: Scene, smaller: Path | None = None) -> Scene:
         with opened(view.source) as photo:
             photos.append(photo)
     factor = _factor(scene.views, photos) if smaller else 1.0
-    notes = [*scene.notes, *_lens_notes(scene.views), *_colour_notes(photos),
-             *_turn_notes(photos)]
-    if smaller and (smaller.name != IMAGES or factor != 1):
-        notes.insert(0, _factor_note(smaller, factor))
-    resized = cache(Lens.resized)  # views share a lens, and with it the map of its pixels
     levels = common_levels([view.source for view in scene.views],
                            [photo.is_deep for photo in photos])
-    notes += filter(None, [levels_note(levels)])
+    notes = [*scene.notes, *_notes(scene.views, photos), *filter(None, [levels_note(levels)])]
+    if smaller and (smaller.name != IMAGES or factor != 1):
+        size = ("as large as the model's cameras" if factor == 1 else
+                f"{factor:.3g} times smaller than the model's cameras, which are scaled to fit")
+        notes.insert(0, f"photos are those of {smaller.name}/, {size}")
+    resized = cache(Lens.resized)  # views share a lens, and with it the map of its pixels
     views = tuple(replace(_fitted(view, photo, factor, resized), levels=each)
                   for view, photo, each in zip(scene.views, photos, levels))
     return replace(scene, views=views, notes=tuple(notes))
@@ -89,24 +85,18 @@ def checked_photos(scene: Scene, smaller: Path | None = None) -> Scene:
 def _where_else(path: Path) -> str:
     """The cure for a missing photo, which depends on the other files of its folder."""
     def folded(name: str) -> str:
-        return unicodedata.normalize("NFC", name).casefold()
+        return unicodedata.normalize("NFC", Path(name).stem).casefold()
 
-    try:
-        names = sorted(os.listdir(path.parent))
-    except OSError:
-        names = []
-    for name in names:
-        if folded(name) == folded(path.name):
-            return (f"{name!a} is there, which differs in letter case or in the form of its "
-                    "characters: rename it")
-    for name in names:
-        if folded(Path(name).stem) == folded(path.stem):
-            return f"{name!a} is there, with another suffix: convert or rename it"
+    names = sorted(os.listdir(path.parent)) if path.parent.is_dir() else []
+    alike = [name for name in names if folded(name) == folded(path.name)]
+    if alike:
+        return (f"{alike[0]!a} is there, which differs in letter case, in the form of its "
+                "characters or in its suffix: rename or convert it")
     return "put the photos there, or name their folder with --images"
 
 
 def _factor(views: Sequence[View], photos: Sequence[Photo]) -> float:
-    """How many times smaller than their cameras all photos are; 1 if the sizes are equal."""
+    """How many times smaller than their cameras all photos are."""
     sizes = [_stored_size(view) for view in views]
     factor = float(np.median([width / photo.width for (width, _), photo in zip(sizes, photos)]))
     for (width, height), photo in zip(sizes, photos):
@@ -125,27 +115,8 @@ def _stored_size(view: View) -> tuple[int, int]:
     return view.lens.size if view.lens else (view.camera.width, view.camera.height)
 
 
-def _factor_note(folder: Path, factor: float) -> str:
-    size = ("as large as the model's cameras" if factor == 1 else
-            f"{factor:.3g} times smaller than the model's cameras, which are scaled to fit")
-    return f"photos are those of {folder.name}/, {size}"
-
-
-def _colour_notes(photos: Sequence[Photo]) -> Iterator[str]:
-    """Notes about samples that are converted, masked or ignored."""
-    for flags, note in (
-            ([photo.linear for photo in photos], "hold linear light (EXR, HDR or floating point): "
-             "they are converted to sRGB, and values above 1 are clipped"),
-            ([photo.has_alpha for photo in photos], "have an alpha channel: transparent pixels are "
-             "left out of training and scores"),
-            ([photo.extra > 0 for photo in photos], "have more channels than colours and alpha: "
-             "the first are used as colours, the others ignored")):
-        if any(flags):
-            yield f"{sum(flags)} of {len(photos)} photos {note}"
-
-
-def _lens_notes(views: Sequence[View]) -> Iterator[str]:
-    """A note about photos that are undistorted."""
+def _notes(views: Sequence[View], photos: Sequence[Photo]) -> Iterator[str]:
+    """Notes about lenses, and about what of the photos is converted, left out or ambiguous."""
     lenses = [view.lens for view in views if view.lens]
     if lenses:
         models = ", ".join(sorted({lens.model for lens in lenses}))
@@ -153,25 +124,25 @@ def _lens_notes(views: Sequence[View]) -> Iterator[str]:
         size = f"{sizes[-1][0]}x{sizes[-1][1]}" + " and other sizes" * (len(sizes) > 1)
         yield (f"{len(lenses)} of {len(views)} views are undistorted from a lens ({models}) to "
                f"pinhole cameras of {size} pixels")
-
-
-def _turn_notes(photos: Sequence[Photo]) -> Iterator[str]:
-    """A note about photos that EXIF turns, if their size does not show whether COLMAP did so."""
-    turned = sum(photo.orientation in (2, 3, 4) or photo.orientation in QUARTER_TURNS
-                 and photo.width == photo.height for photo in photos)
-    if turned:
-        yield (f"{turned} of {len(photos)} photos have an EXIF orientation and are read as they "
-               "are stored: if the scene was reconstructed from turned photos, turn the pixels")
+    for flags, note in (
+            ([photo.linear for photo in photos], "hold linear light (EXR, HDR or floating point): "
+             "they are converted to sRGB, and values above 1 are clipped"),
+            ([photo.has_alpha for photo in photos], "have an alpha channel: transparent pixels are "
+             "left out of training and scores"),
+            ([photo.extra > 0 for photo in photos], "have more channels than colours and alpha: "
+             "the first are used as colours, the others ignored"),
+            # by others, the size shows whether COLMAP has turned them
+            ([photo.orientation in (2, 3, 4) or photo.orientation in QUARTER_TURNS
+              and photo.width == photo.height for photo in photos],
+             "have an EXIF orientation and are read as they are stored: if the scene was "
+             "reconstructed from turned photos, turn the pixels")):
+        if any(flags):
+            yield f"{sum(flags)} of {len(photos)} photos {note}"
 
 
 def _fitted(view: View, photo: Photo, factor: float,
             resized: Callable[[Lens, float, float], Lens]) -> View:
-    """The view, its camera scaled by 1 / factor; InputError if its photo has another size.
-
-    Parameters
-    ----------
-    resized : `Lens.resized`, of which equal calls give one object.
-    """
+    """The view, its camera scaled by 1 / factor; InputError if its photo has another size."""
     # a photo that has its camera's size was reconstructed as it is stored, unless it is square
     turns = QUARTERS.get(photo.orientation, 0) if photo.width != photo.height else 0
     view = replace(view, transparent=photo.has_alpha, quarter_turns=turns if turns % 2 else 0)
