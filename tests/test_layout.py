@@ -195,13 +195,13 @@ def families(root):
     return [path for _, path in sources(root, "cl", suffixes=(".cl",)) if path.parent.name == "cl"]
 
 
-BENCHMARKS = "clsplat/bench/families.py"
+BENCHMARKS = "tools/bench/families.py"
 
 
 def homes(root, family):
     """The modules that may declare a family's kernels: there should be one."""
     return [name for name, home in sources(root, "clsplat")
-            if home.stem == family and not name.startswith(("clsplat/cli/", "clsplat/bench/"))]
+            if home.stem == family and not name.startswith("clsplat/cli/")]
 
 
 def rhyme(root):
@@ -337,8 +337,7 @@ SMALL = {
     "cl/include/real.h": "real\n",
     "tests/reference/blend.py": "import numpy\n",
     "tests/kernels/test_blend.py": "import tests.reference.blend\n",
-    "clsplat/bench/families.py": "from clsplat.rendering import x\nfrom . import case\n"
-                                 "\ndef blend():\n    x\n",
+    "tools/bench/families.py": "from clsplat.rendering import x\n\ndef blend():\n    x\n",
     "clsplat/bench/case.py": "import numpy\n",
 }
 
@@ -370,18 +369,18 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("clsplat/__init__.py", "from clsplat.camera import x", "the package itself imports"),
     ("clsplat/attic.py", "", "'attic' has no layer"),
     ("clsplat/attic.py", "", "attic.py: belongs into one of the packages"),
-    ("clsplat/bench/families.py", "import pyopencl as cl", "pyopencl belongs in clsplat/device/"),
+    ("clsplat/bench/case.py", "import pyopencl as cl", "pyopencl belongs in clsplat/device/"),
     ("clsplat/rendering/blend.py", "import pycolmap", "pycolmap belongs in"),
     ("clsplat/device/find.py", "from OpenImageIO import x", "OpenImageIO belongs in"),
     ("clsplat/cli/blend.py", "import skimage.io", "skimage.io belongs in clsplat/io/ and"),
-    ("clsplat/bench/families.py", "from tests.cases import x", "tests.cases belongs in tests/"),
+    ("clsplat/bench/case.py", "from tests.cases import x", "tests.cases belongs in tests/"),
     ("tests/reference/blend.py", "from clsplat.camera import x", "must share no code"),
     ("clsplat/device/find.py", "def f():\n    import numpy", "inside a function"),
     ("clsplat/device/blend.py", "", "wants one clsplat/**/blend.py, there are 2"),
     ("cl/sort.cl", "", "wants one clsplat/**/sort.py, there are 0"),
     ("cl/sort.cl", "", "tests/reference/sort.py is missing"),
     ("cl/sort.cl", "", "tests/kernels/test_sort.py is missing"),
-    ("cl/sort.cl", "", "clsplat/bench/families.py does not time it"),
+    ("cl/sort.cl", "", "tools/bench/families.py does not time it"),
     ("cl/item/sort.cl", "kernel", "there is no cl/sort.cl"),
     ("cl/sort.cl", "#if FORM_ITEM\n#endif", "cl/sort.cl: must include its forms"),
     ("cl/blend.cl", 2 * FORM_SWITCH.format("blend.cl"), "and know them by nothing else"),

@@ -57,13 +57,11 @@ IMPORT_ALL = """
 import importlib, pkgutil, sys
 import clsplat
 assert sys.modules["fcntl"] is None and not hasattr(__import__("os"), "fork")
-import clsplat.bench
 names = []
-for package in (clsplat, clsplat.bench):
-    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        if not module.name.endswith("__main__"):
-            importlib.import_module(module.name)
-            names.append(module.name)
+for module in pkgutil.walk_packages(clsplat.__path__, "clsplat."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+        names.append(module.name)
 print(len(names))
 """
 

@@ -170,8 +170,6 @@ def untrue_flags(name, words):
         flag, _, value = word.partition("=")
         flag = flag.rstrip(",.;")
         if flag not in known:
-            if name == "bench" and untrue_option(flag, False) == "":
-                continue
             return f"`clsplat {name or ''}` has no option {flag}"
         choices = getattr(getattr(known[flag], "type", None), "choices", ())
         value = value or (words[index + 1] if index + 1 < len(words) else "")
@@ -272,7 +270,7 @@ def test_messages():
             found += lies(place, text, users=not documents)
             # a word alone is one for git; what has var(--...) is a style sheet
             for flag in OPTION.findall(text) if " " in text and "var(--" not in text else ():
-                said = untrue_option(flag, users=not documents and "bench" not in path)
+                said = untrue_option(flag, users=not documents)
                 found += [f"{place}: {said}"] if said else []
             if text.startswith("clsplat "):
                 said = untrue(text.split(), users=True)
@@ -318,6 +316,6 @@ def test_what_is_untrue_is_noticed(text, said):
 @pytest.mark.parametrize("text", [
     "`clsplat train SCENE -n 10 --schedule sig -o out/run`", "`--no-antialiased`", "`tools/test`",
     "`CLSPLAT_DEVICE=0 dask worker tcp://x --nthreads 1`", "`pip install '.[cpu]'`",
-    "`clsplat bench render --form group`", "`x < 3`", "`--levels 4,2,1`"])
+    "`clsplat bench SCENE --profile`", "`x < 3`", "`--levels 4,2,1`"])
 def test_what_is_true_passes(text):
     assert not list(lies("page", text, users=True))

@@ -1,64 +1,77 @@
-"""A whole training step: forward, loss, adjoint, Adam, statistics.
-
-All spherical harmonics are active, and every training view is taken once. The median is that of
-steps which are waited for one by one. host_ms is the time in which the host enqueues a step when
-nothing is waited for, and stream_ms the time in which the device has done it too; launches, waits
-and allocations are those of such a step, and device_mib is the memory on the device.
-
-A profile adds device_ms, the sum of the times of the kernels by the device's clock, and each
-kernel's mean; a queue with profiling takes longer to enqueue, so take the other times without it.
-"""
+"""A whole training step: forward, loss, adjoint, Adam, statistics."""
 
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsplat.bench.measure import Bench, in_turn
-from clsplat.bench.workloads import city, in_unit, scene_of
+from clsplat.device import Device
 from clsplat.estimate.trial_steps import TrialSteps, sampled
-from clsplat.gaussians import Gaussians
 from clsplat.io.scenes.read import read_scene
-from clsplat.options import TrainOptions, resolve
-from clsplat.scene import Scene
+from clsplat.options import resolve
 from clsplat.training.photos import Photos
 from clsplat.training.session import Session
-from clsplat.training.start.prepare import PreparedScene, prepare
+from clsplat.training.start.prepare import prepare
 
 STREAM = 16  # steps that are enqueued without waiting: few enough for any driver's queue
 
 
-def main(bench: Bench, scene: Path | None = None, downscale: float = 1.0,
-         optimizer: str = TrainOptions.optimizer, profile: bool = False) -> None:
-    """Run this benchmark.
+class Finishes(Protocol):
+    """A device, or a renderer on one."""
+
+    def finish(self) -> None:
+        """Wait for all its work."""
+
+
+def in_turn(tasks: Sequence[tuple[Finishes, Callable[[], object]]], repeats: int,
+            warm_up: int = 3) -> NDArray[np.float64]:
+    """Wall times of several functions on their devices, float64[len(tasks), repeats], milliseconds.
+
+    They run one after the other in each round, so that other work on the machine disturbs all of
+    them alike.
+    """
+    times = np.empty((len(tasks), warm_up + repeats))
+    for turn in range(warm_up + repeats):
+        for number, (device, function) in enumerate(tasks):
+            start = time.perf_counter()
+            function()
+            device.finish()
+            times[number, turn] = (time.perf_counter() - start) * 1e3
+    return times[:, warm_up:]
+
+
+def spread(times: NDArray[np.float64]) -> dict[str, Any]:
+    """The fields median_ms, quartiles_ms (lower, upper) and repeats of a record."""
+    low, median, high = np.percentile(times, (25, 50, 75))
+    return {"median_ms": round(float(median), 4),
+            "quartiles_ms": [round(float(low), 4), round(float(high), 4)], "repeats": len(times)}
+
+
+def time_steps(device: Device, scene: Path, count: int, profile: bool, **options: Any
+               ) -> dict[str, Any]:
+    """Take every training view of a scene once, with all spherical harmonics, by turns.
 
     Parameters
     ----------
-    scene : None: the made city. Of a scene, 0 gaussians are as many as its points.
-    downscale, optimizer : as for a training.
-    profile : whether each kernel is timed, on a device that is open for it.
+    device : open for profiling, if kernels are to be timed by its clock.
+    count : gaussians, drawn from the points; 0: as many as these.
+    profile : whether kernels are timed. A queue with profiling takes longer to enqueue.
+    options : of a training, such as downscale.
+
+    Returns
+    -------
+    The fields of `spread`, of steps that are waited for one by one; host_ms, until a step is
+    enqueued where nothing is waited for, and stream_ms, until the device has done it; launches,
+    waits and allocations of such a step; device_mib; and kernels_ms by function, of a profile.
     """
-    def prepared(scene: Scene) -> PreparedScene:
-        return prepare(scene, resolve({}, {
-            "downscale": downscale, "max_resolution": 0, "exposure": "off", "engine": "device",
-            "sphere": False, "optimizer": optimizer}))
-
-    read = prepared(read_scene(scene)) if scene else None
-    for count in bench.gaussians:
-        if read:
-            made, gaussians = read, sampled(read.scene, count or len(read.scene.points), 3)
-        else:
-            gaussians, cameras = city(count)
-            made = prepared(scene_of(gaussians, cameras))
-            gaussians = in_unit(gaussians, made.scene.unit)
-        _measure(bench, made, gaussians, profile)
-
-
-def _measure(bench: Bench, prepared: PreparedScene, gaussians: Gaussians, profile: bool) -> None:
-    """Time the steps of a model, and report them."""
-    device, views = bench.device, prepared.train_views
+    prepared = prepare(read_scene(scene), resolve({}, {
+        "max_resolution": 0, "exposure": "off", "engine": "device", "sphere": False, **options}))
+    views = prepared.train_views
+    gaussians = sampled(prepared.scene, count or len(prepared.scene.points), 3)
     device.trim()
     trial = TrialSteps(Session(prepared, device, gaussians, photos=Photos(device, views)))
     session, turns = trial.session, itertools.cycle(
@@ -67,25 +80,29 @@ def _measure(bench: Bench, prepared: PreparedScene, gaussians: Gaussians, profil
     def one() -> None:
         next(turns)()
 
-    times = in_turn([(trial, one)], len(views), warm_up=len(views)).ravel()
-    stream = _streamed(trial, one, max(1, len(views) // STREAM))
-    device_mib = device.memory_bytes >> 20
+    times = in_turn([(trial, one)], len(views), warm_up=len(views))[0]
+    streamed = _streamed(trial, one, max(1, len(views) // STREAM))
     splats = [session.renderer.count_splats(session.model.rows, camera)
               for camera in session.cameras]
     width, height = views[0].camera.width, views[0].camera.height
-    size = {"gaussians": session.model.count, "visible": round(np.mean(splats)), "width": width,
-            "height": height, **stream, "device_mib": device_mib}
-    kernels: dict[str, list[float]] = {}
+    record = {"scene": prepared.scene.name, "device": device.name, "form": device.form,
+              "gaussians": session.model.count, "visible": round(np.mean(splats)), "width": width,
+              "height": height, **spread(times), **streamed,
+              "device_mib": device.memory_bytes >> 20}
     if profile:
         with device.profile() as kernels:
             for _ in views:
                 one()
-        size["device_ms"] = round(sum(map(sum, kernels.values())) / len(views) * 1e3, 4)
-    bench.report("step", f"{prepared.scene.name} {prepared.options.optimizer}", times, size)
-    for kernel, seconds in sorted(kernels.items(), key=lambda kernel: -sum(kernel[1])):
-        if not bench.as_json:
-            print(f"  {kernel:20} {sum(seconds) / len(views) * 1e3:8.3f} ms in "
-                  f"{len(seconds) / len(views):.2g} launches", flush=True)
+        record["kernels_ms"] = {name: round(sum(seconds) / len(views) * 1e3, 4) for name, seconds in
+                                sorted(kernels.items(), key=lambda kernel: -sum(kernel[1]))}
+    return record
+
+
+def table(record: dict[str, Any]) -> str:
+    """A line for each field of what `time_steps` returns."""
+    lines = [f"{name:14} {value}" for name, value in record.items() if name != "kernels_ms"]
+    return "\n".join([*lines, *(f"  {kernel:20} {ms:8.3f} ms" for kernel, ms in record.get(
+        "kernels_ms", {}).items())])
 
 
 def _streamed(trial: TrialSteps, one: Callable[[], object], rounds: int) -> dict[str, float]:

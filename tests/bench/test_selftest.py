@@ -14,10 +14,8 @@ from clsplat.loss.image_loss import image_loss
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.primitives.compact import compact
 from clsplat.primitives.gather import gather
-from clsplat.primitives.reduce import sum_columns
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering.bin import bin_splats
-from clsplat.rendering.cull import cull
 from clsplat.rendering.pipeline import Renderer
 from tests.reference import selftest as reference
 
@@ -50,18 +48,6 @@ def backwards(device, flags, counts, **options):
     return kept if options else device.upload(kept.download()[::-1])
 
 
-def sees_all(device, rows, *arguments):
-    flags, totals = cull(device, rows, *arguments)
-    flags.fill(1)
-    return flags, totals
-
-
-def without_totals(device, rows, *arguments):
-    flags, totals = cull(device, rows, *arguments)
-    totals.write(np.maximum(totals.download(), 1) - 1)
-    return flags, totals
-
-
 def unstable_lists(*arguments):
     pairs = bin_splats(*arguments)
     listed = pairs.sorted_splats.download()
@@ -74,14 +60,6 @@ def other_emission(*arguments):
     pairs = bin_splats(*arguments)
     pairs.emission_indices.write(np.roll(pairs.emission_indices.download(), 1))
     return pairs
-
-
-def not_finite(device, rows):
-    return device.upload(np.full(rows.shape[1], np.nan))
-
-
-def loses_some(device, rows):
-    return sum_columns(device, rows.narrow(len(rows) - 1))
 
 
 class WithoutCorrection(DeviceAdam):
@@ -140,12 +118,8 @@ def test_a_working_device_passes(float_device, name, test):
     ("gather", first_row_everywhere, "gather and scatter"),
     ("compact", one_too_few, "compaction"),
     ("compact", backwards, "compaction"),
-    ("cull", sees_all, "culling"),
-    ("cull", without_totals, "culling"),
     ("bin_splats", unstable_lists, "tile lists"),
     ("bin_splats", other_emission, "tile lists"),
-    ("sum_columns", not_finite, "sums"),
-    ("sum_columns", loses_some, "sums"),
     ("DeviceAdam", WithoutCorrection, "Adam"),
     ("Statistics", CountsTwice, "statistics"),
     ("image_loss", other_value, "image loss"),

@@ -13,10 +13,11 @@ import gsplat
 import numpy as np
 import torch
 
-from clsplat.bench.measure import counts, in_turn, spread
-from clsplat.bench.render import Clsplat
-from clsplat.bench.workloads import city
+from clsplat.bench.step import in_turn, spread
 from clsplat.device import choose_device
+from tools.bench.families import counts
+from tools.bench.render import Clsplat
+from tools.bench.workloads import city
 
 
 class Gsplat:

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clsplat.bench.measure import in_turn
+from clsplat.bench.step import in_turn
 from clsplat.densify.sphere import with_spheres
 from clsplat.device import choose_device
 from clsplat.errors import InputError

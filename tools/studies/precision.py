@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.bench.measure import counts, in_turn, spread
-from clsplat.bench.workloads import city
+from clsplat.bench.step import in_turn, spread
 from clsplat.camera import Camera
 from clsplat.constants import NO_ROW, SPLAT_DEPTH, SPLAT_OPACITY, SPLAT_REALS
 from clsplat.device import Array, Device, Handle, Kernel, choose_device
@@ -27,6 +26,8 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.rendering import pipeline
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Gradients
+from tools.bench.families import counts
+from tools.bench.workloads import city
 
 VISIBLE_ERROR = 1e-4  # of an image value
 Scene = tuple[Gaussians, Sequence[Camera]]

@@ -3,15 +3,19 @@
 A family is a function that gives what to time, by the name of the variant.
 """
 
+import json
+import re
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from clsplat.bench.measure import Bench
-from clsplat.bench.workloads import DEFINES, CityFrame, ring_camera
+from clsplat.bench.step import in_turn, spread
 from clsplat.camera import Camera
 from clsplat.constants import CATCH_UP_EVERY, LAZY_TERMS, POSE_REALS
+from clsplat.device import Device
 from clsplat.gaussians import LEARNED
 from clsplat.loss.depth_map import compare_depth
 from clsplat.loss.exposure import Exposures
@@ -38,11 +42,45 @@ from clsplat.response import Lenses
 from clsplat.stereo import dense_points
 from clsplat.stereo import sweep as sweeping
 from clsplat.training.frequency import scene_frequency
+from tools.bench.workloads import DEFINES, CityFrame, ring_camera
 
 USED = {field.name: field.width(3) for field in LEARNED}
 RATES = {field.name: field.rate for field in LEARNED}
 
+MULTIPLES = {"": 1, "k": 1_000, "M": 1_000_000}
 Cases = Mapping[str, Callable[[], object]]
+
+
+def counts(text: str) -> tuple[int, ...]:
+    """The numbers of a list, such as (200000, 1000000) for "200k,1M"."""
+    parts = [re.fullmatch(r"(\d+(?:\.\d+)?)([kM]?)", part) for part in text.split(",")]
+    if not all(parts):
+        raise ValueError("not a list of counts such as 200k,1M,4M")
+    return tuple(round(float(part[1]) * MULTIPLES[part[2]]) for part in parts)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What a benchmark runs with, and its reports."""
+
+    device: Device
+    gaussians: tuple[int, ...]
+    repeats: int
+    as_json: bool
+
+    def report(self, family: str, variant: str, function: Callable[[], object],
+               size: Mapping[str, Any], task: Any = None) -> None:
+        """Time a function of the device, or of a task that finishes, and print the result."""
+        times = spread(in_turn([(task or self.device, function)], self.repeats)[0])
+        if self.as_json:
+            print(json.dumps({
+                "family": family, "variant": variant, "form": self.device.form,
+                "device": self.device.name, "driver": self.device.handle.driver_version,
+                "size": size, **times}), flush=True)
+            return
+        low, high = times["quartiles_ms"]
+        print(f"{family:12} {variant:24} {times['median_ms']:9.3f} ms  ({low:.3f} to {high:.3f})  "
+              + ", ".join(f"{what} {count:,}" for what, count in size.items()), flush=True)
 
 
 def time_family(family: str, bench: Bench) -> None:
@@ -50,7 +88,7 @@ def time_family(family: str, bench: Bench) -> None:
     for count in bench.gaussians:
         city = CityFrame(bench.device, count)
         for variant, function in FAMILIES[family](city).items():
-            bench.report(family, variant, bench.milliseconds(function), city.size)
+            bench.report(family, variant, function, city.size)
 
 
 def adam(city: CityFrame) -> Cases:

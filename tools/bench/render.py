@@ -8,24 +8,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from clsplat.bench.measure import Bench
-from clsplat.bench.workloads import city
 from clsplat.camera import Camera
 from clsplat.constants import COUNT_FAILED, FRAME_COUNTS
 from clsplat.device import Device, Graph
 from clsplat.errors import DeviceError
 from clsplat.gaussians import Gaussians
 from clsplat.rendering.pipeline import Renderer, Room
+from tools.bench.families import Bench
+from tools.bench.workloads import city
 
 
-def main(bench: Bench) -> None:
-    """Run this benchmark."""
+def time_frames(bench: Bench) -> None:
+    """Time frames of all numbers of gaussians."""
     for count in bench.gaussians:
         gaussians, cameras = city(count)
         peer = Clsplat(bench.device, gaussians, cameras)
         for variant, function in (("forward", peer.forward), ("forward + adjoint", peer.both)):
-            bench.report("render", variant, bench.milliseconds(function, peer),
-                         {"gaussians": count, "width": peer.width, "height": peer.height})
+            bench.report("render", variant, function, {
+                "gaussians": count, "width": peer.width, "height": peer.height}, peer)
 
 
 class Clsplat:

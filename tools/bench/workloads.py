@@ -1,20 +1,15 @@
 """The scene of the benchmarks: an aerial city of gaussians."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.gaussians import Gaussians
-from clsplat.io.photos.images import encode_jpeg
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Gradients
-from clsplat.scene import Scene, View
 
 DEFINES = (("SH_REST", 15), ("ANTIALIASED", 0))  # of project and cull, as in training
-SCENE_POINTS = 1000  # of a made scene, which has gaussians of its own
 
 
 def city_size(count: int) -> tuple[int, int]:
@@ -63,26 +58,6 @@ def city(count: int, size: tuple[int, int] | None = None, views: int = 8, side: 
             "log_scales": np.log(scales), "quaternions": quaternions}
     rows = {name: np.ascontiguousarray(values, np.float32) for name, values in rows.items()}
     return Gaussians(rows, 3), [ring_camera(2 * np.pi * i / views, size) for i in range(views)]
-
-
-def scene_of(gaussians: Gaussians, cameras: Sequence[Camera], seed: int = 0) -> Scene:
-    """A scene with these cameras, so that training steps can be taken on made gaussians.
-
-    Its photos are noise: the work of a step hardly depends on them.
-    """
-    rng = np.random.default_rng(seed)
-    views = tuple(View(f"{number:03}.jpg", camera, encode_jpeg(rng.integers(
-        0, 256, (camera.height, camera.width, 3), np.uint8), 90))
-        for number, camera in enumerate(cameras))
-    points = gaussians.positions[::max(1, gaussians.count // SCENE_POINTS)].astype(np.float64)
-    return Scene("city", views, points, np.full(points.shape, 128, np.uint8))
-
-
-def in_unit(gaussians: Gaussians, unit: float) -> Gaussians:
-    """Gaussians in coordinates whose unit is `unit` present ones (`Scene.normalised`)."""
-    return Gaussians({**gaussians.rows, "positions": gaussians.positions / np.float32(unit),
-                      "log_scales": gaussians.log_scales - np.float32(np.log(unit))},
-                     gaussians.sh_degree)
 
 
 class CityFrame:
