@@ -259,6 +259,7 @@ def same_bytes(device: Device) -> Measured:
 
 
 CHECKS = (("stable sort", sort), ("gather and scatter", rows_by_index),
-          ("compaction", compaction), ("tile lists", tile_lists), ("render", render), ("image loss", loss),
-          ("image loss adjoint", loss_adjoint), ("render adjoint", render_adjoint),
-          ("statistics", statistics), ("Adam", adam), ("same bytes twice", same_bytes))
+          ("compaction", compaction), ("tile lists", tile_lists), ("render", render),
+          ("image loss", loss), ("image loss adjoint", loss_adjoint),
+          ("render adjoint", render_adjoint), ("statistics", statistics), ("Adam", adam),
+          ("same bytes twice", same_bytes))
