@@ -32,12 +32,6 @@ def test_the_report_of_a_training_begins_with_held_out_views(run, city):
     assert len(set(names)) == 3 and set(names) <= held_out
 
 
-def test_without_held_out_views_it_begins_with_training_views(item_device, city, tmp_path):
-    run = trained(tmp_path / "run", city, item_device, **STILL, iterations=2, test_every=0)
-    heading, names = shown(run)
-    assert heading == "Training views" and len(set(names)) == 3
-
-
 @pytest.mark.slow
 def test_eval_writes_panels_that_it_names_and_renews_the_report(run):
     page = run.path / "report.html"

@@ -13,10 +13,10 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.device import Device
-from clsplat.errors import InputError, Interrupted
+from clsplat.errors import InputError
 from clsplat.io.runs.learned import read_poses
 from clsplat.io.runs.run import RunFolder
-from clsplat.training.loop import resume, train
+from clsplat.training.loop import resume
 from clsplat.training.parts import image_term
 from clsplat.training.step import Step
 from tests.data.tiny_training import (
@@ -114,18 +114,6 @@ def test_crashed_and_resumed(item_device, city, tmp_path, whole, monkeypatch):
     resume(city, options_of(eval_every=50, checkpoint_every=60), item_device, run)
     assert model_digest(run) == model_digest(whole)
     assert history(run) == history(whole)
-
-
-@pytest.mark.slow
-def test_a_stopped_run_says_how_to_go_on_and_is_not_finished(item_device, city, tmp_path):
-    run = RunFolder.create(tmp_path / "run")
-    with pytest.raises(Interrupted, match=f"^stopped after step 30; .* --resume -o {run.path}$"):
-        train(city, options_of(stop_at=30), item_device, run)
-    assert run.has_checkpoint and not run.has_model and not records(run, "eval")
-    resumed(run, city, item_device, stop_at=31)
-    assert not run.has_model
-    resumed(run, city, item_device)
-    assert b"comment iterations 150\n" in (run.path / "point_cloud.ply").read_bytes()[:300]
 
 
 @pytest.mark.slow

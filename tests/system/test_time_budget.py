@@ -41,10 +41,3 @@ def test_a_budget_leaves_the_best_model(item_device, city, tmp_path, monkeypatch
         "eval_every": "auto", "reset_every": 0, **options})
     scores = [record["psnr"] for record in records(run, "eval")]
     assert len(scores) >= 2 and scores[-1] > max(scores[:-1]) - 1
-
-
-@pytest.mark.slow
-def test_a_budget_takes_no_more_steps_than_the_photos_allow(item_device, city, tmp_path):
-    run = trained(tmp_path / "run", city, item_device, time_budget="100s", iterations=30000,
-                  schedule="sig", levels=(1.0,), visits=20 / 28, densify_until=0)
-    assert records(run, "eval")[-1]["iteration"] == 20

@@ -34,11 +34,6 @@ def test_it_learns(item_device, city, tmp_path):
     learns(trained(tmp_path / "run", city, item_device, **STILL, iterations=200))
 
 
-@pytest.mark.slow
-def test_it_learns_in_both_forms(float_device, city, tmp_path):
-    learns(trained(tmp_path / "run", city, float_device, **STILL, iterations=200))
-
-
 def learns(run):
     losses = [record["loss"] for record in records(run, "step")]
     assert losses[0] > 0.25 and losses[1] < 0.5 * losses[0] and losses[2] < 0.9 * losses[1]
@@ -81,29 +76,6 @@ def test_max_gaussians_is_reached_and_never_passed(item_device, city, tmp_path):
     assert len(counts) == 4 and max(counts) == cap and min(counts) > cap - 20, counts
 
 
-@pytest.mark.slow
-def test_opacities_are_reset(item_device, city, tmp_path):
-    """One step after the reset behind step 50 nothing is opaque; without a reset much is."""
-    opacities = []
-    for every in (50, 0):
-        run = trained(tmp_path / str(every), city, item_device, iterations=52, reset_every=every)
-        logits = read_ply(run.path / "point_cloud.ply").opacity_logits
-        opacities.append(1 / (1 + np.exp(-logits)))
-    assert opacities[0].max() < 0.02 and opacities[1].max() > 0.2
-
-
-@pytest.mark.slow
-def test_engines_and_optimizers_learn_alike(item_device, city, tmp_path):
-    scores = {(engine, optimizer): psnr_of(trained(
-        tmp_path / engine / optimizer, city, item_device, **STILL, iterations=100, engine=engine,
-        optimizer=optimizer))
-        for engine in ("device", "numpy") for optimizer in ("sparse", "dense")}
-    for optimizer in ("sparse", "dense"):
-        assert abs(scores["device", optimizer] - scores["numpy", optimizer]) < 0.1, scores
-    assert scores["device", "sparse"] != scores["device", "dense"]
-    assert min(scores.values()) > 19.5, scores
-
-
 def test_harmonics_stay_at_zero_until_their_degree(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, **STILL, iterations=30, sh_every=20)
     rest = read_ply(run.path / "point_cloud.ply").sh_rest
@@ -129,16 +101,6 @@ def evaluated(run):
 def test_evaluations(item_device, city, tmp_path, options, expected):
     assert evaluated(trained(tmp_path / "run", city, item_device, **STILL, iterations=30,
                              **options)) == expected
-
-
-def test_all_views_are_trained_on_where_none_is_held_out(item_device, city, tmp_path):
-    options = options_of(test_every=0)
-    made = loop.Training(city, options, item_device, RunFolder(tmp_path), None,
-                         initial_gaussians(city, options))
-    assert len(made.session.train_views) == len(city.views) == 32
-    epoch = [made.view_of(i) for i in range(1, 33)]
-    assert sorted(epoch) == list(range(32))
-    assert epoch != [made.view_of(i) for i in range(33, 65)] != list(range(32))
 
 
 @pytest.mark.slow

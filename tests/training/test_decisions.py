@@ -18,7 +18,7 @@ from clsplat.options import resolve
 from clsplat.schedule import planned_steps, scaled_steps
 from clsplat.schedule.sig import AGREEING, ENOUGH, FEWEST
 from clsplat.training import photos
-from clsplat.training.parts import exposures, reprojection
+from clsplat.training.parts import exposures
 from clsplat.training.parts.exposures import SAMPLED_PHOTOS
 from clsplat.training.photos import SMALL_SIDE
 from clsplat.training.start import prepare as module
@@ -105,12 +105,6 @@ def test_more_steps_than_the_photos_allow_are_not_taken(city, drift, monkeypatch
     assert resolve({}, {"preset": "paper"}).visits == resolve({}, {"preset": "release"}).visits == 0
 
 
-def test_outliers_are_left_out_where_that_is_requested(city, drift):
-    drift(0.0)
-    assert found(city).reasons["robust"] == "off: not requested"
-    assert found(city, robust="on").reasons["robust"].startswith("on: requested; ")
-
-
 @pytest.mark.parametrize("measured, answer", [(DRIFTS, "on"), (0.99 * DRIFTS, "off"), (0, "off")])
 def test_exposures_are_learned_where_photos_drift(city, drift, measured, answer):
     drift(measured)
@@ -175,17 +169,6 @@ def test_adjacent_photos_are_found(city, drift, asked):
     assert result.reasons["reproject"] == "on: 32 of 32 photos have an adjacent one"
 
 
-@pytest.mark.parametrize("options", [
-    {}, {"reproject": "auto", "reproject_weight": 0.0}, {"schedule": "taming"},
-    {"schedule": "mcmc"}], ids=str)
-def test_adjacent_photos_are_not_looked_for(city, drift, monkeypatch, options):
-    drift(0.0)
-    monkeypatch.delattr(reprojection, "choose_source_views")
-    result = found(city, **options)
-    assert (result.options.reproject, result.parts["reproject"].found) == ("off", None)
-    assert result.reasons["reproject"] == "off: not requested"
-
-
 def test_photos_that_share_nothing(city, drift):
     drift(0.0)
     apart = replace(city, observations=city.observations[:0])
@@ -224,23 +207,6 @@ def test_points_that_no_two_views_see_leave_the_highest_degree(drift):
     alone = replace(scene, observations=scene.observations[:1])
     result = found(alone, sh_degree="auto")
     assert result.options.sh_degree == 3 and "angles are unknown" in result.reasons["sh_degree"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["city", "caliterra", "boruszyn", "lund"])
-def test_flights_and_walks_keep_all_harmonics(name, drift):
-    path = CITY if name == "city" else CITY.parents[2] / "shared" / "data" / name
-    if not path.is_dir():
-        pytest.skip(f"{path} is not here")
-    drift(0.0)
-    assert found(read_scene(path), sh_degree="auto").options.sh_degree == 3
-
-
-def test_all_harmonics_are_the_default(city, drift):
-    drift(0.0)
-    result = found(city)
-    assert result.options.sh_degree == 3 and not result.parts["sh_degree"].requested
-    assert result.reasons["sh_degree"] == "3: all, the default"
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])
@@ -284,18 +250,6 @@ def powers(directions, degree):
     x, y, z = directions.T
     return np.stack([x**i * y**j * z**k for i in range(degree + 1) for j in range(degree + 1 - i)
                      for k in range(degree + 1 - i - j)], axis=1)
-
-
-def test_scales_are_told(drift):
-    drift(0.0)
-    scene = circle(0, 10)
-    near, far = scene.views
-    away = replace(far, camera=replace(far.camera, translation=np.array([0, 0, 40.0])))
-    scene = replace(scene, views=(near, away))
-    result = found(scene)
-    assert result.reasons["antialiased"] == (
-        "off: not requested; nine points in ten are seen at scales within a factor of 4.0")
-    assert found(scene, antialiased=True).values["antialiased"] == "on"
 
 
 def test_levels_are_named(city, drift):

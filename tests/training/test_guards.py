@@ -8,7 +8,7 @@ from clsplat.errors import InputError
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
-from clsplat.training import checkpoint, loop, recorder, step
+from clsplat.training import loop, recorder, step
 from clsplat.training.parts import image_term
 from clsplat.training.progress import SilentProgress
 from clsplat.training.step import SkippedGradients
@@ -58,26 +58,6 @@ def test_counting_past_what_32_bits_hold():
     other.add(1)
     again.poll(0)
     assert counts.total == 3 * 2**31 and again.close() == (3 * 2**31 + 1, 0)
-
-
-def test_counting_on_several_counters():
-    rows, exposures = Counter(), Counter(2**32 - 1)
-    counts = SkippedGradients(rows, exposures)
-    assert counts.poll(0) and counts.close() == (2**32 - 1, 0)
-    rows.add(3)
-    exposures.add(2)  # past its 32 bits
-    counts.poll(0)
-    assert counts.close() == (5, 0)
-
-
-@pytest.mark.parametrize("value, good", [(1e38, True), (np.nan, False), (np.inf, False),
-                                         (-np.inf, False)])
-@pytest.mark.parametrize("shape", [(3,), (4, 2, 3)])
-def test_finite(value, good, shape):
-    values = np.zeros(shape, np.float32)
-    values[(1,) * len(shape)] = value
-    assert checkpoint._is_finite(values) == good
-    assert checkpoint._is_finite(values[:0])
 
 
 # --- in a training
@@ -163,24 +143,6 @@ def test_some_are_skipped_counted_and_told_of_once(train, poison, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_resumed_run_counts_on(train, poison, monkeypatch):
-    """Stopped between two records, after some were skipped and told of."""
-    monkeypatch.setattr(recorder, "TOO_MANY", 0.5)
-    poison(13, 13)
-    whole = train("whole")
-    poison(13, 13)
-    with pytest.raises(loop.Interrupted):
-        train(stop_at=13)
-    poison(0, 0)
-    run = train(resumes=True)
-    keys = ("iteration", "skipped_rows", "skipped_since", "loss")
-    assert [[record[key] for key in keys] for record in records(run, "step")] == [
-        [record[key] for key in keys] for record in records(whole, "step")]
-    assert len([text for text in train.messages if "finite" in text]) == 2  # once a run
-    assert model_digest(run) == model_digest(whole)
-
-
-@pytest.mark.slow
 def test_too_many_end_the_run_and_keep_the_last_checkpoint(train, poison):
     poison(11, STEPS)
     with pytest.raises(InputError) as caught:
@@ -193,38 +155,6 @@ def test_too_many_end_the_run_and_keep_the_last_checkpoint(train, poison):
     assert records(run, "step")[-1]["skipped_since"] > 0 and not run.has_model
     poison(0, 0)
     assert model_digest(train(resumes=True)) == model_digest(train("healthy"))
-
-
-@pytest.mark.slow
-def test_how_many_are_too_many(train, poison, monkeypatch):
-    """The limit is a share of the gradients asked for: just below it the run goes on."""
-    poison(13, 13)
-    with pytest.raises(InputError) as caught:
-        train()
-    many, asked = (int(word.replace(",", "")) for word in
-                   str(caught.value).partition(": ")[2].split()[0:3:2])
-    assert 0 < many < asked and recorder.TOO_MANY == 0.01
-    for limit, folder in ((many / asked, "below"), (0.999 * many / asked, "above")):
-        monkeypatch.setattr(recorder, "TOO_MANY", limit)
-        poison(13, 13)
-        if folder == "above":
-            with pytest.raises(InputError):
-                train(folder)
-        else:
-            assert train(folder).has_model
-
-
-@pytest.mark.slow
-def test_the_first_step_alone_ends_nothing(train, poison):
-    poison(1, 1)
-    assert records(train(), "step")[0]["skipped_since"] > 0
-
-
-@pytest.mark.slow
-def test_without_a_checkpoint_none_is_promised(train, poison):
-    poison(1, STEPS)
-    with pytest.raises(InputError, match="; there is no checkpoint yet: "):
-        train(checkpoint_every=0)
 
 
 @pytest.mark.slow
@@ -256,24 +186,3 @@ def test_a_spoilt_end_leaves_no_model(train, monkeypatch):
         train(iterations=13, checkpoint_every=0)
     run = RunFolder.open(caught.value.args[0].partition(":")[0])
     assert not run.has_model and not run.has_checkpoint
-
-
-@pytest.mark.slow
-def test_exposures_stay_as_they_are(train, poison, monkeypatch):
-    """In poisoned steps a view's transform, its moments and its count do not move; each is counted
-    as a row beside those of gaussians."""
-    monkeypatch.setattr(recorder, "TOO_MANY", 1.0)
-    counted = []
-    for exposure in ("off", "on"):
-        poison(1, STEPS, share=0.1)
-        run = train(exposure, exposure=exposure)
-        counted.append([record["skipped_rows"] for record in records(run, "step")])
-    assert counted[1][0] == counted[0][0] + 1  # later, as gaussians differ, they skip others
-    still = run.load_checkpoint()[0]
-    assert np.array_equal(still["exposure.transforms"], np.tile(np.eye(3, 4).ravel(), (3, 1)))
-    assert not still["exposure.steps"].any() and not still["exposure.v"].any()
-    poison(13, 13)
-    run = train(exposure="on")
-    assert_finite(run)
-    arrays, _ = run.load_checkpoint()
-    assert arrays["exposure.steps"].sum() == STEPS - 1 and arrays["exposure.v"].all()

@@ -116,8 +116,3 @@ def test_a_file_of_too_few_gaussians_is_blamed(scene, tmp_path, count):
     write_ply(tmp_path / "few.ply", Gaussians(rows, 0))
     with pytest.raises(InputError, match=f"few.ply: has {count} gaussians.*--init"):
         initial_gaussians(scene, TrainOptions(init=str(tmp_path / "few.ply")))
-
-
-def test_a_folder_to_start_from_is_called_one(scene, tmp_path):
-    with pytest.raises(InputError, match="a folder; --init expects"):
-        initial_gaussians(scene, TrainOptions(init=str(tmp_path)))

@@ -36,26 +36,6 @@ def test_after_which_steps(item_device, tmp_path, monkeypatch, every, seconds, s
     assert written == steps
 
 
-def test_half_a_minute_begins_again_with_each_checkpoint(item_device, tmp_path, monkeypatch):
-    """A clock that counts the steps writes one after every fifth step, not after all from the
-    fifth on."""
-    written, save = [], Checkpoint.save
-    monkeypatch.setattr(Checkpoint, "save", lambda self: (
-        written.append(self.session.iteration), save(self)))
-    monkeypatch.setattr(loop, "SAVE_SECONDS", 4.5)
-    monkeypatch.setattr(loop, "SAVE_SHARE", 1e9)
-    saves = Training._saves
-
-    def counted(training):
-        training.clock.elapsed = lambda: float(training.session.iteration)
-        return saves(training)
-
-    monkeypatch.setattr(Training, "_saves", counted)
-    trained(tmp_path / "run", read_scene(CITY).part(range(6)), item_device, iterations=12,
-            checkpoint_every="auto", eval_every=0, exposure="off")
-    assert written == [5, 10, 12]
-
-
 def test_a_level_is_recorded_after_the_step_before_it(item_device, tmp_path, monkeypatch):
     """A curve of levels jumped back if a step or an evaluation of the same iteration followed."""
     def observe(self, iteration, frequency):

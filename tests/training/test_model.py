@@ -78,18 +78,6 @@ def test_rows_and_moments_follow_growth(float_device, engine, fields, source, ke
             assert not values[name][kept:].any(), name
 
 
-@ENGINES
-def test_growth_upon_growth(float_device, engine):
-    """What shrank may grow again."""
-    model, given, m, _ = with_moments(float_device, engine, 7)
-    model.regrow(growth_of([0, 1, 2, 3, 4, 5, 6, 0, 1, 2], 7, 0))
-    model.regrow(growth_of([4, 5], 2, 0))
-    model.regrow(growth_of([1, 0, 1], 2, 0))
-    assert np.array_equal(model.download().positions, given.positions[[5, 4, 5]])
-    assert np.array_equal(model.adam.download()[0]["quaternions"][:2], m["quaternions"][[5, 4]])
-    assert not model.adam.download()[0]["quaternions"][2].any()
-
-
 def test_growth_takes_more_memory_than_there_is_before_and_after(float_device):
     """Old rows of a field beside new ones: `peak_bytes` tells, `memory_bytes` does not, which is
     that of the rows there are."""
@@ -121,15 +109,6 @@ def test_limit_opacity(float_device, engine):
     moments = model.adam.download()
     assert not any(values["opacity_logits"].any() for values in moments)
     assert np.array_equal(moments[0]["positions"], m["positions"])
-
-
-def test_moments_move_to_the_host_where_they_do_not_fit(float_device, monkeypatch):
-    def kind(engine):
-        return type(Model(float_device, gaussians_of(4), engine).adam).__name__
-
-    assert kind("auto") == "DeviceAdam"
-    monkeypatch.setattr("clsplat.training.model.DEVICE_SHARE", 0)
-    assert (kind("auto"), kind("device")) == ("NumpyAdam", "DeviceAdam")
 
 
 @pytest.mark.slow
@@ -330,12 +309,6 @@ def test_the_limit_takes_the_highest_gradients(float_device, limit, cloned, spli
     assert model.count == 7 + cloned + split
 
 
-def test_the_limit_counts_what_is_left_after_pruning(float_device):
-    event, model, _ = follow(float_device, [2] * 6, [SMALL] * 6, [0.5, 0.001] + [0.5] * 4,
-                             max_gaussians=7)
-    assert event["pruned"] == 1 and model.count <= 7
-
-
 @pytest.mark.parametrize("limit", [4, 5, 6, 7, 9, 11, 12])
 def test_the_limit_holds_where_too_large_ones_are_split(float_device, limit):
     """Without a split they would go, so that each child counts."""
@@ -355,13 +328,3 @@ def test_spheres_are_kept_through_growth(float_device):
     assert np.allclose(after.max_offsets, [1, 2, 2, 0.7 * 3, 0.7 * 3], rtol=1e-6)
     assert np.array_equal(after.positions[:3], given.positions[[0, 1, 1]])
     assert (after.positions[3:] != given.positions[2]).all()
-
-
-def test_growth_gives_back_what_the_pool_kept(float_device):
-    device = float_device
-    model = Model(device, gaussians_of(10), "device")
-    before = device.memory_bytes
-    device.empty(12_345_678)  # and let it go
-    assert device.memory_bytes > before + 40_000_000
-    model.regrow(growth_of(np.arange(10), 10, 0))
-    assert device.memory_bytes <= before + 10_000

@@ -8,8 +8,6 @@ import tempfile
 import numpy as np
 import pytest
 
-from clsplat.errors import InputError
-from clsplat.training import photos as photo_files
 from clsplat.training.photos import PhotoStore
 
 PHOTOS = [np.random.default_rng(i).integers(0, 256, (3 + (i == 2), 5 + i, 7), np.uint8)
@@ -45,18 +43,6 @@ def test_photos_wait_in_a_file_without_a_name(decodes, tmp_path):
     assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("kept", [0, 4])
-def test_what_has_no_place_is_decoded_at_each_use(decodes, tmp_path, monkeypatch, kept):
-    free = type("Usage", (), {"free": 4 * sum(SIZES[:kept])})
-    monkeypatch.setattr(photo_files.shutil, "disk_usage", lambda folder: free)
-    store = store_of(decodes, tmp_path)
-    store.wait()
-    assert store.count == kept and sorted(decodes) == [*range(kept)]
-    decodes.clear()
-    assert is_whole(store) and sorted(decodes) == [i for i in (0, 1, 2, 3, 3, 4, 5) if i >= kept]
-    store.close()
-
-
 def test_a_disk_that_is_full_or_cannot_be_written_does_no_harm(decodes, tmp_path, monkeypatch):
     gone = store_of(decodes, tmp_path / "gone")
     assert gone.count == 0 and is_whole(gone)
@@ -71,17 +57,3 @@ def test_a_disk_that_is_full_or_cannot_be_written_does_no_harm(decodes, tmp_path
     full.wait()
     assert full.count == 6 and is_whole(full)
     full.close()
-
-
-def test_errors_appear_where_the_photo_is_read(tmp_path):
-    def decode(index):
-        if index:
-            raise InputError("a.jpg: damaged")
-        return PHOTOS[0]
-
-    store = PhotoStore(SIZES[:2], decode, 1, tmp_path)
-    assert np.array_equal(store.read(0), PHOTOS[0])
-    for failing in (store.wait, lambda: store.read(1)):
-        with pytest.raises(InputError, match="a.jpg"):
-            failing()
-    store.close()

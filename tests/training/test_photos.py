@@ -3,7 +3,6 @@ level read once, while the one before it trains."""
 
 import concurrent.futures
 import threading
-import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -122,44 +121,6 @@ def test_the_budget_is_that_of_the_images_trained_on(item_device, views):
         assert not Photos(item_device, views, (level,), size - 1).resident
 
 
-def test_the_budget_is_a_quarter_of_the_device_unless_told(item_device, views, monkeypatch):
-    assert Photos(item_device, views)._budget == 0.25 * item_device.handle.global_mem_size
-    monkeypatch.setattr(module, "DEVICE_SHARE", 0)
-    assert not Photos(item_device, views).resident
-
-
-def test_resident_photos_are_decoded_once(item_device, views, reads):
-    photos = Photos(item_device, views)
-    for i in (0, 1, 0, 3):
-        photos.expect(i)
-        photos[i]
-    assert sorted(reads) == all_at(WIDTH)
-
-
-def test_streamed_photos_are_decoded_once(item_device, views, reads):
-    photos = Photos(item_device, views, budget_bytes=0)
-    for i in (0, 1, 0, 3, 2):
-        photos.expect(i)
-        photos[i]
-    assert sorted(reads) == all_at(WIDTH)
-    photos.close()
-
-
-def test_what_is_expected_is_read_ahead_once(item_device, views, reads, no_room):
-    photos = Photos(item_device, views, budget_bytes=0)
-    assert sorted(reads) == all_at(WIDTH)  # at the start, for damage
-    reads.clear()
-    photos.expect(2)
-    photos.expect(2)
-    idle(photos)
-    assert reads == [("2.png", WIDTH)]
-    photos[2]
-    assert reads == [("2.png", WIDTH)]
-    photos[2]
-    assert reads == [("2.png", WIDTH)] * 2
-    photos.close()
-
-
 @pytest.mark.parametrize("levels", [(1.0,), (2.0, 1.0)])
 @pytest.mark.parametrize("budget", [None, 0])
 def test_a_damaged_photo_is_refused_at_the_start(item_device, views, levels, budget):
@@ -171,42 +132,7 @@ def test_a_damaged_photo_is_refused_at_the_start(item_device, views, levels, bud
         list(decoded(views))
 
 
-def test_a_damaged_photo_read_ahead_is_reported_where_it_is_used(item_device, views, no_room):
-    photos = Photos(item_device, views, budget_bytes=0)
-    views[1].source.unlink()
-    photos.expect(1)
-    with pytest.raises(InputError, match="1.png"):
-        photos[1]
-    photos.close()
-
-
 # --- host memory
-
-
-def test_only_so_many_photos_are_in_memory_as_fit(views, monkeypatch):
-    """However slowly they are used."""
-    alive, most = weakref.WeakSet(), 0
-
-    class Planes(np.ndarray):
-        __hash__ = object.__hash__
-
-    def noted(view):
-        nonlocal most
-        photo = decode(view).view(Planes)
-        alive.add(photo)
-        most = max(most, len(alive))
-        return photo
-
-    decode = module.decode
-    monkeypatch.setattr(module, "decode", noted)
-    monkeypatch.setattr(module, "BAND_COPIES", 0)
-    monkeypatch.setattr(module, "THREADS", 8)
-    for fit in (1, 3):
-        monkeypatch.setattr(module, "HOST_BYTES", fit * 3 * WIDTH * HEIGHT)
-        assert sum(photo.shape == (3, HEIGHT, WIDTH) for photo in decoded(5 * views)) == 20
-        assert fit <= most <= fit + 2  # with the one in use, and that before it
-        most = 0
-    assert module.at_once(views, 8, 10**9) == 8 and module.at_once(views, 8, 0) == 1
 
 
 def test_twelve_photos_of_50_megapixels_leave_room_in_host_memory(views, monkeypatch):
@@ -285,30 +211,4 @@ def test_photos_without_a_place_are_decoded_at_each_use(item_device, views, read
     assert reads[4:] == [("1.png", WIDTH)]
     assert photos[1].shape == (3, HEIGHT, WIDTH)
     assert len(reads) == 5
-    photos.close()
-
-
-def test_levels_may_be_left_out(item_device, views):
-    """As a resumed run does, which begins where it was."""
-    photos = Photos(item_device, views, (4.0, 2.0, 1.0))
-    photos.use(1.0)
-    assert is_at(photos, views, 1)
-    photos.close()
-
-
-def test_a_photo_that_is_gone_when_its_level_comes_is_named(item_device, views, monkeypatch):
-    gone = []
-
-    def sometimes(view):
-        if view.camera.width == WIDTH and view.source.name == "2.png":
-            gone.append(view.source)
-            raise InputError(f"{view.source}: no such file")
-        return photo_bands(view)
-
-    monkeypatch.setattr(module, "photo_bands", sometimes)
-    photos = Photos(item_device, views, (2.0, 1.0))
-    idle(photos)
-    assert gone and is_at(photos, views, 2)  # it is no error before it is needed
-    with pytest.raises(InputError, match="2.png: no such file"):
-        photos.use(1.0)
     photos.close()

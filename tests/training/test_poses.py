@@ -69,13 +69,6 @@ def test_poses_stay_in_the_warm_up_and_are_recorded(item_device, city, tmp_path)
             name for name, each in moved.items() if each.turn.any()}
 
 
-def test_without_the_option_there_are_none(item_device, city, tmp_path):
-    run = trained(tmp_path / "run", city, item_device, **{**OPTIONS, "poses": "off"},
-                  iterations=2)
-    assert not (run.path / "poses.json").exists() and read_poses(run.path) == {}
-    assert not any(name.startswith("pose.") for name in run.load_checkpoint()[0])
-
-
 def test_cities_and_the_reprojection_loss_refuse_it(city, tmp_path):
     with pytest.raises(InputError, match="^--poses on: is for single runs; the blocks of a city"):
         begin(CityFolder(tmp_path), city, options_of(poses="on"))

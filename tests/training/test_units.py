@@ -8,9 +8,6 @@ import pytest
 from clsplat.constants import COUNT_DONE, COUNT_FAILED, COUNT_NEEDED_PAIRS
 from clsplat.io.scenes.read import read_scene
 from clsplat.training import capacity, photos
-from clsplat.training import step as steps
-from clsplat.training.model import Model
-from clsplat.training.step import Step
 from clsplat.training.units import Unit, Units
 from tests.city.test_block import block_of, trained_block
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
@@ -21,8 +18,6 @@ LEVELS = {**LEVELLED, "iterations": 60}
 TRAININGS = {
     "constant": {**STEPS, "schedule": "constant"},
     "taming": {**STEPS, "schedule": "taming"},
-    "dash": {**STEPS, "schedule": "dash"},
-    "mcmc": {**STEPS, "schedule": "mcmc"},
     "mcmc batch": {**STEPS, "schedule": "mcmc", "batch": 2},
     "sig": LEVELS,
     "sig batch": {**LEVELS, "batch": 2},
@@ -150,46 +145,6 @@ def test_the_number_of_units_may_pass_32_bits(item_device):
             counted.units.submit(counted.unit(number, 1 + number % 2))
         assert counted.units.confirm()[COUNT_DONE] == 3
     assert counted.log == list(range(5))
-
-
-@pytest.mark.slow
-def test_growth_decides_by_rows_that_have_caught_up(item_device, city, tmp_path, monkeypatch):
-    """Adam leaves rows behind that no view sees."""
-    current, behind = [], []
-    candidates, densify = steps.Candidates, Step.densify
-
-    def noted(*arguments):
-        current.append(models[-1].adam.is_current)
-        return candidates(*arguments)
-
-    def before(own, *arguments):
-        models.append(own._model)
-        behind.append(not own._model.adam.is_current)
-        return densify(own, *arguments)
-
-    models = []
-    monkeypatch.setattr(steps, "Candidates", noted)
-    monkeypatch.setattr(Step, "densify", before)
-    trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 35})
-    assert len(current) > 1 and all(current) and any(behind)
-
-
-def test_recordings_do_not_keep_the_memory_of_frames_while_rows_are_copied(
-        item_device, city, tmp_path, monkeypatch):
-    grow, regrow, recordings = Step._grow, Model.regrow, []
-
-    def growing(own, *arguments):
-        def noted(*growth):
-            recordings.append((before, len(own._graphs)))
-            regrow(*growth)
-
-        before = len(own._graphs)
-        monkeypatch.setattr(Model, "regrow", noted)
-        return grow(own, *arguments)
-
-    monkeypatch.setattr(Step, "_grow", growing)
-    trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 25})
-    assert recordings and all(before > 0 and then == 0 for before, then in recordings)
 
 
 def test_steps_that_are_pending_keep_few_photos(item_device, city, tmp_path, monkeypatch):

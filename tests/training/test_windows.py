@@ -7,23 +7,18 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.device import Device
 from clsplat.errors import InputError
-from clsplat.estimate.trial_steps import TrialSteps, sampled, trial_session
 from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import read_image, write_image
 from clsplat.io.photos.resample import resample
 from clsplat.io.photos.views import read_photo
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
-from clsplat.options import resolve
-from clsplat.partition.blocks import seen_pixels
 from clsplat.partition.input import world_of
 from clsplat.partition.region import Region, Space
 from clsplat.partition.windows import find_windows
 from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View
-from clsplat.training.start.prepare import prepare
 from tests import cases
 from tests.data.tiny_training import CITY
 from tests.kernels.chain import (
@@ -75,27 +70,6 @@ def test_the_largest_resolution_is_of_the_whole_photo():
     assert part.focal == CAMERA.reduced(2).focal
 
 
-@pytest.mark.slow
-def test_frames_of_many_sizes_use_the_same_memory(item_device, scene):
-    """Steps on windows that become larger keep as much memory as on windows that become smaller,
-    where the first one decides."""
-    few = replace(scene, views=scene.views[:17], observations=None)
-    cropped = few.cropped({view.name: (0, 0, 160 + 10 * number, 120 + 7 * number)
-                           for number, view in enumerate(few.views)})
-    options = resolve({}, {"test_every": 0, "sphere": False, "exposure": "off", "init": "sfm"})
-    kept = []
-    for order in (1, -1):
-        device = Device(item_device.handle, form=item_device.form)
-        prepared = prepare(cropped, options, device)
-        trial = TrialSteps(trial_session(
-            prepared, device, sampled(prepared.scene, 4000, 3), 1.0))
-        for index in range(len(few.views))[::order]:
-            trial.prepare(index)()
-        trial.finish()
-        kept.append(device.memory_bytes)
-    assert kept[0] < 1.1 * kept[1]
-
-
 @pytest.mark.parametrize("name", ["ragged", "giants", "near_plane"])
 def test_a_render_of_a_part_is_part_of_the_render(device, name):
     """Also where gaussians lie far outside the part: what clamps their Jacobians is the whole."""
@@ -120,24 +94,6 @@ def test_a_render_of_a_part_is_part_of_the_render(device, name):
     assert abs(frame.image.download() - expected).max() < 2e-6 * (1 + abs(expected).max())
     if name == "giants":  # the case would notice
         assert abs(drawn(replace(part, whole=None)) - expected).max() > 2e-5
-
-
-@pytest.mark.parametrize("window", [(0, 0, 3, 3), (40, 2, 61, 9), (2, 28, 9, 37)])
-def test_no_part_of_a_model_is_passed_over(float_device, window):
-    """Off the centre of a wide photo, where the steepest rays are on one side."""
-    case = cases.gaussians("giants", count=3000)
-    case["camera"] |= {"fx": 8.0, "fy": 8.0}
-    rng = np.random.default_rng(0)
-    case["rows"]["positions"] = cases.single(rng.normal(0, 12, (3000, 3)))
-    case["rows"]["log_scales"] = cases.single(rng.uniform(-3, 2, (3000, 3)))
-    case["rows"]["opacity_logits"] = cases.single(np.full(3000, 4.0))
-    camera = camera_of(case).cropped(*window)
-    renderer = renderer_of(float_device, case)
-    frame = renderer.render(upload_rows(float_device, case["rows"]), renderer.pack(camera),
-                            camera.width, camera.height, 0)
-    drawn = set(frame.visible.download().tolist())
-    seen = {piece.start for piece in Parts.of(case["rows"], 1).seen(camera, case["near"])}
-    assert drawn <= seen and len(seen) < 3000 and len(drawn) > 100
 
 
 def test_a_photo_is_read_in_part(tmp_path):
@@ -190,13 +146,6 @@ def test_a_scene_cropped_keeps_the_observations_that_it_shows(scene):
     assert np.array_equal(cropped.observations, scene.observations[inside])
     assert cropped.views[5].camera.width == 128 and cropped.views[4] is scene.views[4]
     assert replace(scene, observations=None).cropped({}).observations is None
-
-
-def test_windows_change_little_of_the_pixels_that_show_a_block(scene, gaussians):
-    region = region_of(scene, 0.3)
-    cropped = scene.cropped(find_windows(gaussians, scene, region, scene.views))
-    whole = seen_pixels(scene, region, scene.views)
-    assert 0.75 * whole < seen_pixels(cropped, region, cropped.views) < 1.1 * whole
 
 
 @pytest.fixture

@@ -12,12 +12,7 @@ WRITTEN = "written.json"  # in that folder: the pictures there that clsplat wrot
 
 
 class Renders:
-    """The pictures of views in a run's folder.
-
-    Attributes
-    ----------
-    folder : the render folder of the run.
-    """
+    """The pictures of views in the render folder of a run."""
 
     def __init__(self, run: Path) -> None:
         self.folder = run / RENDERS

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,9 +24,8 @@ from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, record_of, write_object
 from clsplat.io.runs.learned import EXPOSURES, POSES, read_exposures, write_exposures
-from clsplat.io.runs.origin import origin
+from clsplat.io.runs.origin import origin, recorded_scene, scene_record
 from clsplat.io.runs.renders import Renders
-from clsplat.io.runs.scene_path import recorded_scene, scene_record
 from clsplat.response import Response
 
 OPTIONS, METRICS = "options.json", "metrics.jsonl"
@@ -62,14 +60,8 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: str | Path, overwrite: bool = False) -> RunFolder:
-        """Begin a new run.
-
-        Parameters
-        ----------
-        path : a folder that holds no run; it is created if needed.
-        overwrite : the folder may hold a run; the first write, `write_options`, removes its files
-            and nothing else.
-        """
+        """Begin a new run in a folder, which is created if needed. If it may hold a run, the first
+        write, `write_options`, removes the files of that and nothing else."""
         run = cls(path)
         try:
             run.path.mkdir(parents=True, exist_ok=True)
@@ -98,7 +90,7 @@ class RunFolder:
 
     def _is_ours(self) -> bool:
         """Whether clsplat wrote the files of the folder, by its options or, if these are damaged,
-        by its metrics or its checkpoint."""
+        by its metrics."""
         try:
             if "version" in self.read_options():
                 return True
@@ -106,14 +98,8 @@ class RunFolder:
             pass
         try:
             with open(self.path / METRICS, "rb") as file:
-                if b'{"event":' in file.read(1000):
-                    return True
+                return b'{"event":' in file.read(1000)
         except OSError:
-            pass
-        try:
-            with zipfile.ZipFile(self.path / CHECKPOINT) as archive:
-                return f"{STATE}.npy" in archive.namelist()
-        except (OSError, ValueError, zipfile.BadZipFile):
             return False
 
     @contextmanager
@@ -150,13 +136,8 @@ class RunFolder:
             (self.path / name).unlink(missing_ok=True)
 
     def write_options(self, record: dict[str, Any]) -> None:
-        """Write the options of the run.
-
-        Parameters
-        ----------
-        record : the path `scene` is written relative to the run and absolute; the keys of
-            `origin.origin` are added.
-        """
+        """Write the options of the run, with the keys of `origin`; the path `scene` is written
+        relative to the run and absolute."""
         if self._replaces:
             self._remove_files()
             self._replaces = False
@@ -166,7 +147,7 @@ class RunFolder:
         write_object(self.path / OPTIONS, plain(record), indent=2)
 
     def scene_path(self, given: Path | None = None) -> Path:
-        """Find the scene of the run, see `scene_path.recorded_scene`."""
+        """Find the scene of the run, see `recorded_scene`."""
         return recorded_scene(self.read_options(), self.path, given)
 
     def note_scene(self, scene: Path) -> None:
@@ -215,12 +196,8 @@ class RunFolder:
         return [record for record, _ in self._lines()]
 
     def add_scores(self, scores: dict[str, Any]) -> None:
-        """Add scores of the finished model to the last evaluation in the metrics, if there is one.
-
-        Parameters
-        ----------
-        scores : keys and numbers; they replace those that are there.
-        """
+        """Add scores of the finished model to the last evaluation in the metrics, if there is one;
+        they replace those that are there."""
         lines = self._lines() if self.has_metrics else []
         places = [n for n, (record, _) in enumerate(lines) if record.get("event") == "eval"]
         if not places:
