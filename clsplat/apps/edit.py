@@ -20,7 +20,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.crs import conversion
 from clsplat.io.georeference.geojson import DEGREES, read_polygons
-from clsplat.io.models.formats import is_model, read_model, read_notes
+from clsplat.io.models.formats import is_model, read_with_notes
 from clsplat.io.models.values import MIP
 from clsplat.io.scenes.read import read_scene
 from clsplat.partition.region import map_axes
@@ -58,9 +58,9 @@ class Source:
             run = Run.open(path)
             model = shown(run.finished_model, path).without_spheres()
             return cls(path, model, run.georeference, run.known_up, run.options.antialiased, run)
-        model = shown(read_model(path), path).without_spheres()
-        notes = read_notes(path)
-        return cls(path, model, notes.georeference, notes.up, notes.antialiased)
+        model, notes = read_with_notes(path)
+        return cls(path, shown(model, path).without_spheres(), notes.georeference, notes.up,
+                   notes.antialiased)
 
     def measured(self, device: Device, scene_path: Path | None,
                  progress: Callable[[int, int], object] | None = None) -> Source:

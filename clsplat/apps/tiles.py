@@ -7,7 +7,7 @@ to see.
 Tiles stand upright, z up; the transform of the root leads from there to the earth (ECEF), or to the
 scene if it has no georeference. Content of glTF has y up, and a viewer turns it back.
 
-The content is compressed as SPZ, which CesiumJS needs to draw splats, or plain.
+The content is compressed as SPZ, which CesiumJS needs to draw splats.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.folders import new_folder
 from clsplat.io.georeference.crs import conversion
-from clsplat.io.models.gltf import COMPRESSION, EXTENSION, write_glb, write_spz_glb
-from clsplat.io.models.values import Notes, mode_comment, opacities
+from clsplat.io.models.gltf import COMPRESSION, EXTENSION, write_spz_glb
+from clsplat.io.models.values import mode_comment, opacities
 from clsplat.io.records import write_object
 
 TILE_GAUSSIANS = 20_000  # of a tile at most: 5 MB with harmonics of degree 3
@@ -42,9 +42,6 @@ TILESET, CONTENT = "tileset.json", "tiles"
 Z_UP = np.array([0.0, 0.0, 1.0])
 ECEF = "EPSG:4978"
 BASELINE = 100.0  # metres, along which the axes of a CRS are measured on the earth
-# `write_glb` turns (x, y, z) by half a turn about z, then z to y; a viewer turns only y to z. For
-# `write_spz_glb` the second is all
-TURNS = {False: np.diag([-1.0, -1.0, 1.0]), True: np.eye(3)}  # by whether content is compressed
 
 
 @dataclass(eq=False)
@@ -110,7 +107,7 @@ def tile_tree(gaussians: Gaussians, limit: int = TILE_GAUSSIANS) -> Tile:
     return build("0", np.arange(gaussians.count))
 
 
-def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians, compressed: bool = True,
+def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians,
                     progress: Callable[[int, int], object] | None = None) -> Tile:
     """Write the model of a run as 3D Tiles.
 
@@ -119,7 +116,7 @@ def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians, compressed: bo
     folder : a new or empty folder, which appears as a whole.
     run : has what is up, and the georeference.
     gaussians : its finished model or a part of it.
-    compressed, progress : see `write_tiles`.
+    progress : see `write_tiles`.
 
     Raises
     ------
@@ -127,13 +124,13 @@ def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians, compressed: bo
     """
     with new_folder(folder) as partial:
         tree = tile_tree(upright(gaussians, run.up))
-        write_tiles(partial, tree, run.georeference, compressed, progress,
+        write_tiles(partial, tree, run.georeference, progress,
                     (mode_comment(run.options.antialiased),))
     return tree
 
 
 def write_tiles(folder: Path, tree: Tile, georeference: Georeference | None = None,
-                compressed: bool = True, progress: Callable[[int, int], object] | None = None,
+                progress: Callable[[int, int], object] | None = None,
                 comments: Sequence[str] = ()) -> None:
     """Write a tree as tileset.json and a glTF file for each tile.
 
@@ -142,23 +139,17 @@ def write_tiles(folder: Path, tree: Tile, georeference: Georeference | None = No
     folder : an existing folder.
     tree : from `tile_tree`; its contents have one offset.
     georeference : of its original coordinates; None: the tileset has those of the scene.
-    compressed : whether the content is SPZ, with a tenth of the bytes and 8 to 24 bits a number.
     progress : called with the number of tiles that are written, and of all.
     comments : lines of text for the files of the tiles.
     """
     (folder / CONTENT).mkdir()
     tiles = list(tree.all())
     for number, tile in enumerate(tiles, 1):
-        if compressed:
-            write_spz_glb(folder / tile.uri, tile.gaussians, comments)
-        else:
-            write_glb(folder / tile.uri, tile.gaussians.located(np.zeros(3)),
-                      Notes(tuple(comments), Z_UP))
+        write_spz_glb(folder / tile.uri, tile.gaussians, comments)
         if progress:
             progress(number, len(tiles))
+    used = [EXTENSION, COMPRESSION]
     transform = placement(tree.gaussians.offset, georeference)
-    transform[:3, :3] = transform[:3, :3] @ TURNS[compressed]
-    used = [EXTENSION, COMPRESSION] if compressed else [EXTENSION]
     write_object(folder / TILESET, {
         "asset": {"version": "1.1", "generator": "clsplat"},
         "extensionsUsed": ["3DTILES_content_gltf"],
@@ -167,7 +158,7 @@ def write_tiles(folder: Path, tree: Tile, georeference: Georeference | None = No
                                                 "extensionsRequired": used}},
         "geometricError": float(np.linalg.norm(tree.high - tree.low)),
         "root": {"transform": transform.T.ravel().tolist(), "refine": "REPLACE",
-                 **_record(tree, TURNS[compressed])}})
+                 **_record(tree)}})
 
 
 def placement(offset: NDArray[np.float64], georeference: Georeference | None
@@ -190,15 +181,14 @@ def placement(offset: NDArray[np.float64], georeference: Georeference | None
     return matrix
 
 
-def _record(tile: Tile, turn: NDArray[np.float64]) -> dict[str, Any]:
-    """A tile and those below it as JSON, in coordinates turned by a diagonal matrix [3, 3]."""
-    centre = turn @ (tile.low + tile.high) / 2
-    half = np.diag((tile.high - tile.low) / 2)
+def _record(tile: Tile) -> dict[str, Any]:
+    """A tile and those below it as JSON."""
+    centre, half = (tile.low + tile.high) / 2, np.diag((tile.high - tile.low) / 2)
     record: dict[str, Any] = {
         "boundingVolume": {"box": [*centre.tolist(), *half.ravel().tolist()]},
         "geometricError": tile.error, "content": {"uri": tile.uri}}
     if tile.children:
-        record["children"] = [_record(child, turn) for child in tile.children]
+        record["children"] = [_record(child) for child in tile.children]
     return record
 
 

@@ -20,15 +20,13 @@ from clsplat.errors import InputError
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--upright", is_flag=True, help="Turn the model so that up is -y, as most viewers "
               "expect. It then no longer fits the scene's cameras.")
-@click.option("--plain-tiles", is_flag=True, help="For 3D Tiles: write floats, without the "
-              "compression that CesiumJS needs.")
 @click.option("--sh-degree", type=click.IntRange(0, 3), default=3, show_default=True,
               help="Highest degree of the spherical harmonics to write.")
 @everything_flag
 @click.option("--scene", type=click.Path(path_type=Path),
               help="For a page: where the scene is now, if it was moved.")
-def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles: bool,
-           sh_degree: int, everything: bool, scene: Path | None) -> None:
+def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: int,
+           everything: bool, scene: Path | None) -> None:
     """Write the gaussians of RUN to a file for other programs.
 
     They are in the world coordinates of the scene; in .las and .laz, in map coordinates if it is
@@ -41,9 +39,12 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
     from clsplat.cli.progress import Progress
     from clsplat.edit.select import alive, selected, used_sh_degree
     from clsplat.evaluation.run import Run
+    from clsplat.io.models.formats import written_format
     from clsplat.report.model_page import write_run_page
     is_page, is_folder = output.suffix.lower() == ".html", not output.suffix
-    has_harmonics = _check_format(output, is_page or is_folder, upright, plain_tiles)
+    if upright and (is_page or is_folder):
+        raise InputError("--upright: pages and 3D Tiles are upright; leave it out")
+    has_harmonics = is_page or is_folder or written_format(output).harmonics
     if everything and not is_page:
         raise InputError("--everything: is for pages, other formats have all; leave it out")
     opened = Run.open(run)
@@ -72,8 +73,7 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
         progress.phase(f"writing {output}")
         part = selected(gaussians, keep).with_sh_degree(degree)
         if is_folder:
-            tree = write_run_tiles(output, opened, part, not plain_tiles,
-                                   partial(progress.count, "tile"))
+            tree = write_run_tiles(output, opened, part, partial(progress.count, "tile"))
         elif is_page:
             write_run_page(output, opened, part, photos)
         else:
@@ -86,15 +86,3 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
         ("supported by fewer than two photos", visible - int(keep.sum()))) if count)
     click.echo(f"{output}: {keep.sum():,} gaussians, spherical harmonics to degree {degree}"
                f"{left_out}")
-
-
-def _check_format(output: Path, is_other: bool, upright: bool, plain_tiles: bool) -> bool:
-    """Whether a format, or the page or folder that is another one, holds spherical harmonics;
-    InputError if it does not fit the options."""
-    from clsplat.io.models.formats import written_format
-    if upright and is_other:
-        raise InputError("--upright: pages and 3D Tiles are upright; leave it out")
-    if plain_tiles and output.suffix:
-        raise InputError("--plain-tiles: is for a folder of 3D Tiles; leave it out, or name an "
-                         "--output without a suffix")
-    return is_other or written_format(output).harmonics

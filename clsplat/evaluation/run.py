@@ -15,7 +15,7 @@ from clsplat.evaluation.views import opened
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.files import placed, read_georeference, read_orientation
-from clsplat.io.models.formats import is_model, read_model, read_notes
+from clsplat.io.models.formats import is_model, read_with_notes
 from clsplat.io.photos.undistort import undistorted
 from clsplat.io.runs.learned import read_poses
 from clsplat.io.runs.run import RunFolder
@@ -60,9 +60,9 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
         raise InputError(f"{path}: a file of gaussians has no cameras; name them with "
                          "--scene SCENE")
     else:
-        options = TrainOptions(max_resolution=0, antialiased=read_notes(path).antialiased)
         scene = read_scene(scene_path)
-        model = read_model(path, scene.offset, scene.georeference)
+        model, notes = read_with_notes(path, scene.offset, scene.georeference)
+        options = TrainOptions(max_resolution=0, antialiased=notes.antialiased)
     # of a run and another scene, the local origins differ
     model = shown(model, path).moved(scene.offset)
     return model, scene.reduced(options.downscale, options.max_resolution), options

@@ -20,12 +20,7 @@ CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # control characters 
 @contextmanager
 def reading(path: str | Path, what: str, cure: str = "export or copy it again") -> Iterator[None]:
     """Report any failure to read a file as one line: libraries raise many kinds of exceptions for
-    damaged files.
-
-    Parameters
-    ----------
-    what : the format with its article, for the message.
-    """
+    damaged files. The message says `what` the file is not, with its article, and the cure."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # results are checked
             yield

@@ -4,41 +4,32 @@ import numpy as np
 import pyproj
 import pytest
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
-from clsplat.apps.tiles import (
-    placement,
-    tile_tree,
-    upright,
-    write_tiles,
-)
+from clsplat.apps.tiles import placement, tile_tree, upright, write_tiles
 from clsplat.edit.select import merged
 from clsplat.georeference import Georeference
-from clsplat.io.models.formats import read_model, read_notes
+from clsplat.io.models.formats import read_model, read_with_notes
 from tests.data.cloud import cloud
 from tests.io.models.test_formats import BOUNDS, compare, model
 from tests.io.models.test_gltf_spz import parts
 
 Y_TO_Z = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # what a viewer does to glTF content
-GLTF_TO_PLY = np.diag([-1.0, -1, 1])  # what `read_model` does to the axes of glTF
-SPZ_TO_PLY = np.diag([1.0, -1, -1])  # and to those of SPZ
+SPZ_TO_PLY = np.diag([1.0, -1, -1])  # what `read_model` does to the axes of SPZ
 
 
 def content_of(path):
     """The gaussians of a tile, and the matrix [3, 3] from there to what a viewer has."""
     document, _ = parts(path)
     model, node = read_model(path), document["nodes"][0]  # read_model leaves out its turn
-    if "extensionsRequired" not in document:
-        return model, Y_TO_Z @ Rotation.from_quat(node["rotation"]).as_matrix() @ GLTF_TO_PLY
     accessors = document["accessors"]
     assert {accessor["count"] for accessor in accessors} == {model.count}
     assert len(accessors) == 4 + (model.sh_degree + 1) ** 2 - 1
     return model, Y_TO_Z @ np.reshape(node["matrix"], (4, 4)).T[:3, :3] @ SPZ_TO_PLY
 
 
-def written(tmp_path, tree, georeference=None, compressed=False):
+def written(tmp_path, tree, georeference=None):
     """(the tileset, its tiles in order, each with its places [N, 3] as a viewer has them)."""
-    write_tiles(tmp_path, tree, georeference, compressed)
+    write_tiles(tmp_path, tree, georeference)
     tileset = json.loads((tmp_path / "tileset.json").read_text())
     transform = np.reshape(tileset["root"]["transform"], (4, 4)).T
     tiles = []
@@ -53,10 +44,9 @@ def written(tmp_path, tree, georeference=None, compressed=False):
     return tileset, tiles
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-def test_the_leaves_hold_every_gaussian_once(tmp_path, compressed):
+def test_the_leaves_hold_every_gaussian_once(tmp_path):
     model = cloud(1000, sh_degree=1, size=0.02, offset=(7.0, -3.0, 100.0))
-    tileset, tiles = written(tmp_path, tile_tree(model, limit=60), None, compressed)
+    tileset, tiles = written(tmp_path, tile_tree(model, limit=60))
     leaves = [tile for tile in tiles if "children" not in tile[0]]
     inner = [tile for tile in tiles if "children" in tile[0]]
     assert len(inner) > 5 and max(tile[1].count for tile in tiles) <= 60
@@ -67,9 +57,9 @@ def test_the_leaves_hold_every_gaussian_once(tmp_path, compressed):
     assert len(places) == len(whole) == len(set(nearest)) and away.max() < 5e-3
     colours = np.concatenate([tile[1].sh_constant for tile in leaves])[nearest]
     shown = np.abs(model.sh_constant) < 1.7  # SPZ holds no brighter or darker ones
-    assert np.abs(colours - model.sh_constant)[shown].max() < (0.02 if compressed else 1e-6)
+    assert np.abs(colours - model.sh_constant)[shown].max() < 0.02
     extension = tileset["extensions"]["3DTILES_content_gltf"]["extensionsRequired"]
-    assert (len(extension) == 2) == compressed
+    assert len(extension) == 2
     assert len(list(tmp_path.glob("tiles/*.glb"))) == len(tiles)
     assert tileset["asset"]["version"] == "1.1" and tileset["root"]["refine"] == "REPLACE"
 
@@ -87,11 +77,9 @@ def ends_of(record):
     return box[:3] - np.diag(box[3:].reshape(3, 3)), box[:3] + np.diag(box[3:].reshape(3, 3))
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-def test_the_tileset_keeps_the_rules_of_3d_tiles(tmp_path, compressed):
+def test_the_tileset_keeps_the_rules_of_3d_tiles(tmp_path):
     """Those of the JSON schema of OGC 22-025r4 (3D Tiles 1.1), and of its sections on tiles."""
-    tileset, tiles = written(tmp_path, tile_tree(cloud(500, sh_degree=1, size=0.05), limit=40),
-                             None, compressed)
+    tileset, tiles = written(tmp_path, tile_tree(cloud(500, sh_degree=1, size=0.05), limit=40))
     assert set(tileset) == {"asset", "extensionsUsed", "extensions", "geometricError", "root"}
     assert tileset["asset"]["version"] == "1.1"
     assert set(tileset["extensions"]) <= set(tileset["extensionsUsed"])
@@ -124,12 +112,11 @@ def test_the_tileset_keeps_the_rules_of_3d_tiles(tmp_path, compressed):
     assert used == {path.relative_to(tmp_path).as_posix() for path in tmp_path.glob("tiles/*")}
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-def test_a_viewer_has_the_model_that_was_written(tmp_path, compressed):
+def test_a_viewer_has_the_model_that_was_written(tmp_path):
     """Positions, sizes, turns, colours and harmonics, of a model that must be turned upright."""
     up, written_model = np.array([0.0, -0.6, -0.8]), model(300, 2, (3.0, -50.0, 7.0))
     expected = upright(written_model, up)
-    tileset, tiles = written(tmp_path, tile_tree(expected, limit=90), None, compressed)
+    tileset, tiles = written(tmp_path, tile_tree(expected, limit=90))
     transform = np.reshape(tileset["root"]["transform"], (4, 4)).T
     leaves = []
     for record, found, *_ in tiles:
@@ -137,17 +124,15 @@ def test_a_viewer_has_the_model_that_was_written(tmp_path, compressed):
         assert np.allclose(transform[:3, :3] @ turn, np.eye(3))
         if "children" not in record:
             leaves.append(found.located(transform[:3, 3]))
-    compare(merged(leaves), expected, BOUNDS[".spz"] if compressed
-            else (1e-6, *BOUNDS[".glb"][1:]))
+    compare(merged(leaves), expected, BOUNDS[".spz"])
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-def test_tiles_say_how_their_model_was_trained(tmp_path, compressed):
+def test_tiles_say_how_their_model_was_trained(tmp_path):
     for name, comments in (("classic", ()), ("mip", ("SplatRenderMode: mip",))):
         (tmp_path / name).mkdir()
-        write_tiles(tmp_path / name, tile_tree(cloud(5)), None, compressed, comments=comments)
+        write_tiles(tmp_path / name, tile_tree(cloud(5)), comments=comments)
         tile = tmp_path / name / "tiles" / "0.glb"
-        assert read_notes(tile).antialiased == (name == "mip")
+        assert read_with_notes(tile)[1].antialiased == (name == "mip")
 
 
 def test_tiles_stand_upright():
@@ -159,11 +144,10 @@ def test_tiles_stand_upright():
     assert upright(model, np.array([0.0, 0, 1])).positions is model.positions
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-def test_on_the_earth(tmp_path, compressed):
+def test_on_the_earth(tmp_path):
     place = Georeference("EPSG:32633", (465_000.0, 5_800_000.0, 50.0), "", 0.0)
     model = cloud(50, offset=(100.0, 200.0, 10.0))
-    _, tiles = written(tmp_path, tile_tree(model, limit=60), place, compressed)
+    _, tiles = written(tmp_path, tile_tree(model, limit=60), place)
     # heights are above the ellipsoid
     east, north, height = (model.positions + model.offset + np.array(place.offset)).T
     degrees = pyproj.Transformer.from_crs("EPSG:32633", "OGC:CRS84", always_xy=True).transform(

@@ -101,7 +101,7 @@ def test_training_views_have_the_poses_that_the_run_corrected(run, scene):
         assert np.array_equal(view.camera.rotation, given[view.name].rotation)
     for text in ('{"a": [1, 2]}', '{"a": [1, 2, 3, 4, 5, 1e300]}', "[]", "{"):
         (run.path / "poses.json").write_text(text)
-        with pytest.raises(InputError, match="poses.json: not a file of corrected poses, or dam"):
+        with pytest.raises(InputError, match="poses.json: not a file of corrected poses, dama"):
             run.scene()
 
 

@@ -11,48 +11,50 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.models.compressed_ply import compressed_gaussians, is_compressed
-from clsplat.io.models.gltf import glb_notes, read_glb, write_glb
+from clsplat.io.models.gltf import read_glb, write_glb
 from clsplat.io.models.ply import gaussians_of, read_elements, read_vertices, write_ply
 from clsplat.io.models.points import is_cloud, ply_cloud, read_las, write_las
-from clsplat.io.models.sog import is_unbundled, read_sog, sog_notes, write_sog
+from clsplat.io.models.sog import is_unbundled, read_sog, write_sog
 from clsplat.io.models.splat_file import read_splat
-from clsplat.io.models.spz import read_spz, spz_notes, write_spz
+from clsplat.io.models.spz import read_spz, write_spz
 from clsplat.io.models.values import Notes
 
 
-def _read_ply(path: Path, offset: NDArray[np.float64] | None) -> Gaussians:
+def _read_ply(path: Path, offset: NDArray[np.float64] | None) -> tuple[Gaussians, Notes]:
     """Whatever a PLY holds: gaussians, compressed gaussians or points."""
     elements, comments = read_elements(path)
-    if is_compressed(elements):
-        return compressed_gaussians(path, elements, comments, offset)
-    if "vertex" not in elements:
+    vertices = elements.get("vertex")
+    if vertices is None:
         raise InputError(f"{path}: not a PLY of gaussians or points: it has no vertices; "
                          "give one that a gaussian splatting program wrote")
-    if is_cloud(elements["vertex"]):
-        return ply_cloud(path, elements["vertex"], offset)
-    return gaussians_of(path, elements["vertex"], comments, offset)
+    if is_compressed(elements):
+        found = compressed_gaussians(path, elements, comments, offset)
+    elif is_cloud(vertices):
+        found = ply_cloud(path, vertices, offset)
+    else:
+        found = gaussians_of(path, vertices, comments, offset)
+    return found, Notes.of_lines(comments)
 
 
 class Format(NamedTuple):
     """A format of models: what it is, its functions, and what it holds."""
 
     what: str
-    read: Callable[..., Gaussians]  # called as `read_model`; with map coordinates: and a CRS
+    # called with a path, an offset, and if it has map coordinates with the CRS of the scene
+    read: Callable[..., tuple[Gaussians, Notes]]
     write: Callable[[Path, Gaussians, Notes], None] | None = None  # None: it is only read
-    notes: Callable[[Path], Notes] = lambda _: Notes()
     harmonics: bool = True  # above the constant
     map_coordinates: bool = False  # in files of a georeferenced scene
 
 
 PLY = Format("the format of Kerbl et al. 2023, which splat viewers open", _read_ply,
              lambda path, gaussians, notes: write_ply(path, gaussians, gaussians.offset,
-                                                      notes.lines),
-             lambda path: Notes.of_lines(read_elements(path)[1]))
+                                                      notes.lines))
 FORMATS = {
     ".ply": PLY,
-    ".sog": Format("the format of PlayCanvas, the smallest", read_sog, write_sog, sog_notes),
-    ".spz": Format("the format of Niantic, small", read_spz, write_spz, spz_notes),
-    ".glb": Format("glTF with KHR_gaussian_splatting", read_glb, write_glb, glb_notes),
+    ".sog": Format("the format of PlayCanvas, the smallest", read_sog, write_sog),
+    ".spz": Format("the format of Niantic, small", read_spz, write_spz),
+    ".glb": Format("glTF with KHR_gaussian_splatting", read_glb, write_glb),
     ".laz": Format("points for maps, compressed", read_las, write_las, harmonics=False,
                    map_coordinates=True),
     ".las": Format("points for maps", read_las, write_las, harmonics=False, map_coordinates=True),
@@ -66,7 +68,14 @@ READ = {".compressed.ply": PLY._replace(what="the format of SuperSplat", write=N
 
 def read_model(path: str | Path, offset: ArrayLike | None = None,
                georeference: Georeference | None = None) -> Gaussians:
-    """Read the gaussians of a file in local coordinates.
+    """Read the gaussians of a file; see `read_with_notes`."""
+    return read_with_notes(path, offset, georeference)[0]
+
+
+def read_with_notes(path: str | Path, offset: ArrayLike | None = None,
+                    georeference: Georeference | None = None) -> tuple[Gaussians, Notes]:
+    """Read the gaussians of a file in local coordinates, and what it holds besides: how they were
+    trained, what is up, and their georeference, as far as its format has a place for these.
 
     A cloud of points, with or without colours, becomes the gaussians from which a training starts.
 
@@ -86,8 +95,8 @@ def read_model(path: str | Path, offset: ArrayLike | None = None,
     local = None if offset is None else np.asarray(offset, np.float64)
     if kind.map_coordinates and georeference is not None:
         origin = np.asarray(georeference.offset, np.float64)
-        gaussians = kind.read(path, None if local is None else origin + local, georeference.crs)
-        return gaussians.located(gaussians.offset - origin)
+        found, notes = kind.read(path, None if local is None else origin + local, georeference.crs)
+        return found.located(found.offset - origin), notes
     return kind.read(path, local)
 
 
@@ -99,7 +108,7 @@ def count_of(path: str | Path) -> int:
     path, kind = Path(path), _stored_format(path)
     if kind.read is _read_ply:
         return int(read_vertices(path)[0].count)
-    return kind.read(path, None).count
+    return kind.read(path, None)[0].count
 
 
 def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] = (),
@@ -126,12 +135,6 @@ def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] 
     write = written_format(path).write
     assert write is not None
     write(path, gaussians, notes)
-
-
-def read_notes(path: str | Path) -> Notes:
-    """What a file of a model holds besides its gaussians: how it was trained, what is up, and its
-    georeference, as far as its format has a place for them; raises as `read_model`."""
-    return _stored_format(path).notes(Path(path))
 
 
 def is_model(path: str | Path) -> bool:

@@ -145,8 +145,8 @@ def _write(path: Path, document: dict[str, Any], comments: Iterable[str], conten
             file.write(data)
 
 
-def read_glb(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians:
-    """Read the gaussians of a binary glTF with KHR_gaussian_splatting; see `models.read_model`.
+def read_glb(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, Notes]:
+    """Read a binary glTF with KHR_gaussian_splatting; see `models.read_with_notes`.
 
     All its meshes of gaussians become one model.
     """
@@ -165,17 +165,11 @@ def read_glb(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians
             missing = bands - rows["sh_rest"].shape[1]
             rows["sh_rest"] = np.pad(rows["sh_rest"], ((0, 0), (0, missing), (0, 0)))
         joined = {name: np.concatenate([rows[name] for rows in parts]) for name in parts[0]}
-        return gaussians_of(path, half_turn(joined, axis=2),
-                            np.zeros(3) if origin is None else origin * TURN, offset)
-
-
-def glb_notes(path: Path) -> Notes:
-    """What a binary glTF holds besides its gaussians; see `models.read_notes`."""
-    with reading(path, "a binary glTF"):
-        asset = _chunks(read_regular(path))[0].get("asset")
-        extras = asset.get("extras") if isinstance(asset, dict) else None
-        comments = extras.get("comments") if isinstance(extras, dict) else None
-        return Notes.of_lines(line for line in comments or () if isinstance(line, str))
+        extras = document.get("asset", {}).get("extras")
+        comments = extras.get("comments", ()) if isinstance(extras, dict) else ()
+        return (gaussians_of(path, half_turn(joined, axis=2),
+                             np.zeros(3) if origin is None else origin * TURN, offset),
+                Notes.of_lines(line for line in comments if isinstance(line, str)))
 
 
 def _mesh(attributes: Iterable[str], **details: Any) -> dict[str, Any]:

@@ -137,8 +137,8 @@ def write_points(path: Path, parts: Iterable[Part], ends: tuple[ArrayLike, Array
 
 
 def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | None = None
-             ) -> Gaussians:
-    """Read the points of a LAS or LAZ file as gaussians; see `models.read_model`.
+             ) -> tuple[Gaussians, Notes]:
+    """Read the points of a LAS or LAZ file as gaussians; see `models.read_with_notes`.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | N
                 raise ValueError(f"it has {done} points, not {count}")
         if crs is not None:
             points = _converted(path, header, crs, points)
-        return _cloud(path, points, colours if colours.any() else None, offset)
+        return _cloud(path, points, colours if colours.any() else None, offset), Notes()
 
 
 def _converted(path: Path, header: Any, crs: str, points: NDArray[np.float64]

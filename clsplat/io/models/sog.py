@@ -109,8 +109,8 @@ def is_unbundled(path: Path) -> bool:
     return path.name.lower() == META or (path / META).is_file()
 
 
-def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians:
-    """Read the gaussians of a SOG file, or of a folder; see `models.read_model`."""
+def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, Notes]:
+    """Read a SOG file, or a folder; see `models.read_with_notes`."""
     with reading(path, KIND), _opened(path) as read:
         meta = _meta(path, read)
         count = meta["count"]
@@ -136,13 +136,8 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians
             "quaternions": from_smallest_three(tag, COMPONENT_STEPS.values(quaternions[:, :3])),
         }
         origin = np.array(meta.get(ORIGIN, (0, 0, 0)), np.float64).reshape(3)
-        return gaussians_of(path, rows, origin, offset)
-
-
-def sog_notes(path: Path) -> Notes:
-    """What a SOG file holds besides its gaussians; see `models.read_notes`."""
-    with reading(path, KIND), _opened(path) as read:
-        return Notes((MIP,) if _meta(path, read).get("antialias") else ())
+        return (gaussians_of(path, rows, origin, offset),
+                Notes((MIP,) if meta.get("antialias") else ()))
 
 
 @contextmanager

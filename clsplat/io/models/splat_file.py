@@ -9,7 +9,13 @@ from clsplat.constants import SH_C0
 from clsplat.gaussians import Gaussians
 from clsplat.io.fields import reading
 from clsplat.io.models.quantise import unit
-from clsplat.io.models.values import Steps, byte_logits, gaussians_of, log_scales_of
+from clsplat.io.models.values import (
+    Notes,
+    Steps,
+    byte_logits,
+    gaussians_of,
+    log_scales_of,
+)
 from clsplat.io.regular import read_regular
 
 ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 3),
@@ -17,8 +23,8 @@ ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 3)
 COLOURS, COMPONENTS = Steps(255 * SH_C0, 127.5), Steps(128, 128)
 
 
-def read_splat(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians:
-    """Read the gaussians of a .splat file; see `models.read_model`."""
+def read_splat(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, Notes]:
+    """Read a .splat file; see `models.read_with_notes`."""
     with reading(path, "a .splat file"):
         data = read_regular(path)
         if len(data) % ROW.itemsize:
@@ -33,4 +39,4 @@ def read_splat(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussia
             "opacity_logits": byte_logits(table["opacity"]),
             "log_scales": log_scales_of(table["scale"].astype(np.float64)),
             "quaternions": unit(COMPONENTS.values(table["quaternion"])),
-        }, np.zeros(3), offset)
+        }, np.zeros(3), offset), Notes()

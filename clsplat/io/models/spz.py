@@ -119,21 +119,17 @@ def packed_spz(path: Path, gaussians: Gaussians, notes: Notes) -> tuple[bytes, i
     return head + packer.compress(content) + packer.flush() + end, degree
 
 
-def read_spz(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians:
-    """Read the gaussians of a SPZ file; see `models.read_model`."""
+def read_spz(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, Notes]:
+    """Read a SPZ file; see `models.read_with_notes`."""
     with reading(path, "a SPZ file"):
         data = read_regular(path)
-        if (degree := _header(data).degree) > KEPT_DEGREE:
+        header = _header(data)
+        if header.degree > KEPT_DEGREE:
             logging.getLogger(__name__).warning(
                 "%s: its spherical harmonics of degree %d are left out: degree %d is the highest "
-                "that is read", path, degree, KEPT_DEGREE)
-        return gaussians_of(path, unpacked_spz(data), _origin(data), offset)
-
-
-def spz_notes(path: Path) -> Notes:
-    """What a SPZ file holds besides its gaussians; see `models.read_notes`."""
-    with reading(path, "a SPZ file"):
-        return Notes((MIP,) if _header(read_regular(path)).flags & ANTIALIASED else ())
+                "that is read", path, header.degree, KEPT_DEGREE)
+        return (gaussians_of(path, unpacked_spz(data), _origin(data), offset),
+                Notes((MIP,) if header.flags & ANTIALIASED else ()))
 
 
 def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:

@@ -7,7 +7,7 @@ import pytest
 
 from clsplat.cli.main import main
 from clsplat.errors import InputError
-from clsplat.io.models.formats import count_of, is_model, read_model, read_notes, write_model
+from clsplat.io.models.formats import count_of, is_model, read_model, read_with_notes, write_model
 from tests.io.models.test_ply import equal, random_gaussians
 from tests.io.shared_cases import CASES, needs_cases
 
@@ -25,7 +25,7 @@ def test_a_folder_and_its_meta(folder):
     whole = read_model(folder.parent / "whole.sog")
     for path in (folder, folder / "meta.json"):
         assert is_model(path) and equal(read_model(path), whole)
-        assert count_of(path) == 30 and not read_notes(path).antialiased
+        assert count_of(path) == 30 and not read_with_notes(path)[1].antialiased
     assert not is_model(folder.parent)
     with pytest.raises(InputError, match="unknown suffix '.json'"):
         write_model(folder / "meta.json", whole)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.models.formats import count_of, read_model, read_notes, write_model
+from clsplat.io.models.formats import count_of, read_model, read_with_notes, write_model
 from tests.io.models.test_ply import equal, random_gaussians
 from tests.io.shared_cases import CASES, needs_cases
 
@@ -49,7 +49,7 @@ def version_4(folder, count=7, degree=3, *, extra=b"", flags=0, change=lambda ta
 def test_version_4_holds_what_version_3_does(tmp_path, count, degree):
     path = version_4(tmp_path, count, degree, flags=1)
     assert equal(read_model(path), read_model(tmp_path / "v3.spz"))
-    assert count_of(path) == count and read_notes(path).antialiased
+    assert count_of(path) == count and read_with_notes(path)[1].antialiased
 
 
 def test_harmonics_of_the_fourth_degree_are_left_out(tmp_path, caplog):
@@ -123,4 +123,3 @@ def test_the_library_that_is_missing_is_named(tmp_path, monkeypatch):
     with pytest.raises(InputError) as caught:
         read_model(path)
     assert str(caught.value) == f"{path}: {NO_ZSTD}"
-    assert read_notes(path).antialiased is False
