@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 if TYPE_CHECKING:
     from clsplat.sfm.reconstruct import SfmOptions
 
-MATCHING = ("auto", "gps", "sequence", "all")
 SHOWN = 5  # photos that were not registered
 
 
@@ -21,7 +20,8 @@ SHOWN = 5  # photos that were not registered
 @click.option("--masks", type=click.Path(path_type=Path),
               help="Folder of masks NAME.png, dark where a photo shall not be used. Default: those "
               "that are named as such in PHOTOS.")
-@click.option("--matching", type=click.Choice(MATCHING), default="auto", show_default=True,
+@click.option("--matching", type=click.Choice(("auto", "gps", "sequence", "all")),
+              default="auto", show_default=True,
               help="Which pairs of photos are matched: neighbours by GPS, photos that follow each "
               "other by name, or all.")
 @click.option("--camera-model", default="", metavar="NAME",
@@ -50,7 +50,7 @@ def sfm(photos: Path, output: Path, masks: Path | None, matching: str, camera_mo
     from clsplat.sfm.reconstruct import SfmOptions
     options = SfmOptions(masks, matching, camera_model.upper(), frames, crs, gcp,
                          check_points)
-    make_scene(photos, output, options, overwrite, quiet)
+    _make_scene(photos, output, options, overwrite, quiet)
     if not quiet:
         click.echo(f"{output}: next, `clsplat train {output} -o RUN`")
 
@@ -83,12 +83,12 @@ def trained_scene(source: Path, output: Path, quiet: bool, overwrite: bool | Non
     if not quiet:
         click.echo(f"{source}: photos without poses; makes a scene in {scene} first, as `clsplat "
                    f"sfm {source} -o {scene}` does")
-    make_scene(source, scene, SfmOptions(), False, quiet)
+    _make_scene(source, scene, SfmOptions(), False, quiet)
     return scene
 
 
-def make_scene(photos: Path, output: Path, options: SfmOptions, overwrite: bool, quiet: bool
-               ) -> None:
+def _make_scene(photos: Path, output: Path, options: SfmOptions, overwrite: bool, quiet: bool
+                ) -> None:
     """Reconstruct a scene with a progress line, and say what came out."""
     from clsplat.cli.progress import Progress
     from clsplat.sfm.progress import Silent
@@ -98,19 +98,17 @@ def make_scene(photos: Path, output: Path, options: SfmOptions, overwrite: bool,
     else:
         with Progress() as progress:
             record = reconstruct(photos, output, options, progress, overwrite)
-        click.echo("\n".join(summary(output, record)))
+        click.echo(f"{output}: {record['registered']} of {record['photos']} photos, "
+                   f"{record['points']:,} points, reprojection error "
+                   f"{record['reprojection_error_pixels']:.2f} pixels, "
+                   f"{sum(record['seconds'].values()):.0f} s")
+        missing = list(record["not_registered"].items())
+        for name, why in missing[:SHOWN]:
+            click.echo(f"  {name}: {why}")
+        if len(missing) > SHOWN:
+            click.echo(f"  and {len(missing) - SHOWN} more, see {output / 'sfm.json'}")
+        for note in record["notes"]:
+            if note not in record["warnings"]:
+                click.echo(f"  {note}")
     for warning in record["warnings"]:
         click.echo(f"warning: {output}: {warning}", err=True)
-
-
-def summary(output: Path, record: dict[str, Any]) -> list[str]:
-    """Lines that say what was reconstructed."""
-    seconds = sum(record["seconds"].values())
-    lines = [f"{output}: {record['registered']} of {record['photos']} photos, "
-             f"{record['points']:,} points, reprojection error "
-             f"{record['reprojection_error_pixels']:.2f} pixels, {seconds:.0f} s"]
-    missing = list(record["not_registered"].items())
-    lines += [f"  {name}: {why}" for name, why in missing[:SHOWN]]
-    if len(missing) > SHOWN:
-        lines.append(f"  and {len(missing) - SHOWN} more, see {output / 'sfm.json'}")
-    return lines + [f"  {note}" for note in record["notes"] if note not in record["warnings"]]

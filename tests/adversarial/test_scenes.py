@@ -91,7 +91,7 @@ SCENES = {
         path.rename(path.with_name(unicodedata.normalize("NFD", path.name)))
         for path in (f / "images").glob("é*")], ("4 of 4", "form of its characters")),
     "other suffix": (lambda f: (f / PHOTO).rename(f / "images/photo_1.jpg"),
-                     ("1 of 4", "another suffix")),
+                     ("1 of 4", "in its suffix")),
     "photo is a device": (lambda f: ((f / PHOTO).unlink(), (f / PHOTO).symlink_to("/dev/zero")),
                           ("a device",)),
     "one photo smaller": (lambda f: shrunk(f, "images", 2, [1]), ("rescaled", "--images")),
@@ -135,7 +135,6 @@ def test_smaller_photos_scale_the_cameras(tmp_path):
         assert f"{name}/" in note and "times smaller" in note
         assert read_photo(scene.views[2])[0, 0, 0] == 2
     refused(folder, "--images images_9", "images_8", images="images_9")
-    refused(folder, "--images", "UTF-8", images="\udcff")
 
 
 def test_a_folder_of_photos_elsewhere(tmp_path):
@@ -157,7 +156,7 @@ def test_the_largest_model_is_used_and_told(tmp_path):
     assert read_scene(folder).notes == ()
     (folder / "sparse/0").rename(folder / "sparse/10")
     scene = read_scene(folder)
-    assert len(scene.views) == 4 and "sparse/10 is used, with 4" in scene.notes[0]
+    assert len(scene.views) == 4 and scene.notes == ()
     (folder / "sparse/1").rename(folder / "sparse/0")
     scene = read_scene(folder)
     assert len(scene.views) == 2 and "sparse/10 has 4" in scene.notes[0]

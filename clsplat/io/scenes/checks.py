@@ -1,6 +1,6 @@
 """What every scene must satisfy, whatever file it came from."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -13,8 +13,8 @@ from clsplat.io.fields import CONTROL, LARGEST_COORDINATE
 from clsplat.scene import Scene, View
 
 ROTATION_TOLERANCE = 1e-3
-LONGEST_NAME_BYTES = 255  # of a part of an image's name: the limit of file systems
-PICTURE_SUFFIX_BYTES = 10  # that pictures of a view add to its name: ".png", ".part" while written
+# of a part of an image's name: file systems allow 255, of which pictures of a view need 10
+LONGEST_NAME_BYTES = 245
 
 
 def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]],
@@ -37,10 +37,9 @@ def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]]
         raise InputError(f"{path}: the model has no registered image; reconstruct the scene again")
     _check_poses(path, names, model)
     _check_points(path, model["points"])
-    cameras = (Camera(width, height, focal, centre, rotation, translation)
+    cameras = (Camera(width, height, tuple(focal), tuple(centre), rotation, translation)
                for (width, height), focal, centre, rotation, translation in zip(
-                   model["sizes"].tolist(), map(tuple, model["focals"].tolist()),
-                   map(tuple, model["centres"].tolist()),
+                   model["sizes"].tolist(), model["focals"].tolist(), model["centres"].tolist(),
                    np.array(model["rotations"], np.float64),
                    np.array(model["translations"], np.float64)))
     views = map(View, names, cameras, sources, model.get("lenses", len(names) * [None]))
@@ -61,12 +60,10 @@ def _checked_names(path: str | Path, names: NDArray[Any]) -> list[str]:
         if CONTROL.search(name):
             raise InputError(f"{path}: image name {name[:80]!r} is not valid text; "
                              "rename the photo, or reconstruct the scene again")
-        longest = max(len(part.encode()) for part in parts.parts)
-        if max(longest, len(parts.name.encode()) + PICTURE_SUFFIX_BYTES) > LONGEST_NAME_BYTES:
-            raise InputError(f"{path}: image name {name[:80]!r}... is too long: its pictures are "
-                             "named after it, and a file system allows "
-                             f"{LONGEST_NAME_BYTES} bytes; rename the photo, or reconstruct the "
-                             "scene again")
+        if max(len(part.encode()) for part in parts.parts) > LONGEST_NAME_BYTES:
+            raise InputError(f"{path}: image name {name[:80]!r}... is too long: a file system "
+                             f"allows {LONGEST_NAME_BYTES} bytes, besides a suffix; rename the "
+                             "photo, or reconstruct the scene again")
     if len(set(names_text)) != len(names_text):
         twice = next(n for n in names_text if names_text.count(n) > 1)
         raise InputError(f"{path}: image {twice} occurs twice in the model; "
@@ -74,30 +71,32 @@ def _checked_names(path: str | Path, names: NDArray[Any]) -> list[str]:
     return names_text
 
 
-def _limits(values: NDArray[Any]) -> Iterator[tuple[NDArray[np.bool_], str]]:
-    """(the rows that are within a limit, the limit in words)."""
-    rows = values.reshape(len(values), -1)
-    yield np.isfinite(rows).all(axis=1), "finite"
-    yield (np.abs(rows) <= LARGEST_COORDINATE).all(axis=1), f"below {LARGEST_COORDINATE:g}"
+def _broken(values: NDArray[Any]) -> tuple[NDArray[np.bool_], str]:
+    """Which rows are not finite or not below the largest coordinate, and which of both."""
+    rows = np.abs(values.reshape(len(values), -1))
+    infinite = ~np.isfinite(rows).all(axis=1)
+    if infinite.any():
+        return infinite, "finite"
+    return (rows > LARGEST_COORDINATE).any(axis=1), f"below {LARGEST_COORDINATE:g}"
 
 
 def _check_poses(path: str | Path, names: list[str], model: Mapping[str, NDArray[Any]]) -> None:
     for key, subject in (("rotations", "pose"), ("translations", "pose"), ("focals", "camera"),
                          ("centres", "camera")):
-        for right, limit in _limits(model[key]):
-            if not right.all():
-                raise InputError(f"{path}: the {subject} of image {names[np.argmin(right)]} is "
-                                 f"not {limit} ({np.sum(~right)} of {len(names)} images); "
-                                 "reconstruct the scene again")
+        wrong, limit = _broken(model[key])
+        if wrong.any():
+            raise InputError(f"{path}: the {subject} of image {names[np.argmax(wrong)]} is not "
+                             f"{limit} ({wrong.sum()} of {len(names)} images); reconstruct the "
+                             "scene again")
     rotations = model["rotations"]
     error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    wrong = (error > ROTATION_TOLERANCE) | (np.linalg.det(rotations) < 0)
+    wrong = np.logical_or(error > ROTATION_TOLERANCE, np.linalg.det(rotations) < 0)
     if wrong.any():
         raise InputError(f"{path}: the pose of image {names[np.argmax(wrong)]} is not a rotation "
                          f"({wrong.sum()} of {len(names)} images); reconstruct the scene again")
-    wrong = (model["focals"] <= 0).any(axis=1) | (model["sizes"] <= 0).any(axis=1)
-    if wrong.any():
-        raise InputError(f"{path}: the camera of image {names[np.argmax(wrong)]} has no size or "
+    empty = (np.hstack([model["focals"], model["sizes"]]) <= 0).any(axis=1)
+    if empty.any():
+        raise InputError(f"{path}: the camera of image {names[np.argmax(empty)]} has no size or "
                          "no focal length; reconstruct the scene again")
 
 
@@ -105,10 +104,10 @@ def _check_points(path: str | Path, points: NDArray[Any]) -> None:
     if not len(points):
         raise InputError(f"{path}: the sparse model has no points; reconstruct the scene again "
                          "with more overlap between the photos")
-    for right, limit in _limits(points):
-        if not right.all():
-            raise InputError(f"{path}: {np.sum(~right)} of {len(points)} points are not {limit}; "
-                             "remove them, or reconstruct the scene again")
+    wrong, limit = _broken(points)
+    if wrong.any():
+        raise InputError(f"{path}: {wrong.sum()} of {len(points)} points are not {limit}; remove "
+                         "them, or reconstruct the scene again")
     if (points == points[0]).all():
         raise InputError(f"{path}: the sparse model's {len(points)} points all lie at one place; "
                          "reconstruct the scene again, or check the units of its points")

@@ -28,10 +28,10 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")  # tried if file_path has n
 # the keys of a lens; k4 is the factor of r^8, as nerfstudio has it, except in FULL_OPENCV, where it
 # is the first of the three factors that divide
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-# camera_model -> the keys that it has
 FISHEYE, RATIONAL = "OPENCV_FISHEYE", "FULL_OPENCV"
 MODEL = ("camera_model", "is_fisheye")
 FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
+# camera_model -> the keys that it has
 LENSES = {FISHEYE: COEFFICIENTS[:4], RATIONAL: COEFFICIENTS, **dict.fromkeys(
     ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"),
     (*COEFFICIENTS[:4], "p1", "p2"))}
@@ -88,12 +88,12 @@ def _own(table: Mapping[str, Any], frame: Mapping[str, Any]) -> dict[str, Any]:
     """
     if not isinstance(frame, Mapping):
         raise ValueError("it is not an object")
-    x, y = FOCAL_X, FOCAL_Y
-    replaced: set[str] = set()
-    if frame.keys() & {*x, *y}:
-        replaced |= {*y} if frame.keys() & {*y} or table.keys() & {*x} else set()
-        replaced |= {*x} if frame.keys() & {*x} else set()
-    if frame.keys() & {*MODEL}:
+    own, replaced = frame.keys(), set[str]()
+    if own & {*FOCAL_X}:
+        replaced |= {*FOCAL_X}
+    if own & {*FOCAL_Y} or own & {*FOCAL_X} and table.keys() & {*FOCAL_X}:
+        replaced |= {*FOCAL_Y}
+    if own & {*MODEL}:
         replaced |= {*MODEL, *COEFFICIENTS}
     return {**{key: value for key, value in table.items() if key not in replaced}, **frame}
 
