@@ -45,15 +45,15 @@ def pytest_generate_tests(metafunc):
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items):
-    """Of a test marked one_in(k), every k-th of the cases that are not slow runs for each change,
-    and all of them each night."""
+    """Of a test marked one_in(k), every k-th case runs for each change, of those that are slow as
+    well, and all of them each night."""
     cases = Counter()
     for item in items:
-        marker = item.get_closest_marker("one_in")
-        if marker and not item.get_closest_marker("slow"):
-            if cases[item.function] % marker.args[0]:
+        if marker := item.get_closest_marker("one_in"):
+            kind = item.function, item.get_closest_marker("slow") is None
+            if cases[kind] % marker.args[0]:
                 item.add_marker("nightly")
-            cases[item.function] += 1
+            cases[kind] += 1
 
 
 @pytest.fixture(scope="module", autouse=True)

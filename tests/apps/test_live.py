@@ -95,7 +95,8 @@ class Eager(TrainingView):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("changes", [
-    {"iterations": 50}, pytest.param(LEVELLED, marks=pytest.mark.slow)], ids=["short", "levelled"])
+    {"iterations": 50}, pytest.param(LEVELLED, marks=pytest.mark.nightly)],
+    ids=["short", "levelled"])
 def test_watching_changes_no_byte(item_device, city, tmp_path, changes):
     plain, run = RunFolder.create(tmp_path / "plain"), RunFolder.create(tmp_path / "watched")
     train(city, options_of(**changes), item_device, plain)

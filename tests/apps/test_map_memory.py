@@ -26,7 +26,7 @@ print(float(status["VmHWM"].split()[0]) / 1024)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_map_of_6000_by_6000_pixels(tmp_path):
     for side in (200, 6000):  # the first compiles the kernels, which some compilers need more for
         folder = tmp_path / str(side)

@@ -334,7 +334,7 @@ def test_a_block_that_does_not_fit_its_device_is_named(copy, monkeypatch, capsys
     assert "--block-gaussians" in error and "1 of 2 blocks cannot be merged" in error
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_model_that_cannot_be_written_loses_nothing(copy, capsys):
     """While a block is trained and while the blocks are merged: the same command goes on."""
     before = model(copy)

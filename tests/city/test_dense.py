@@ -110,7 +110,7 @@ def test_they_count_where_the_nearest_coarse_gaussian_stands():
     assert counted_where(coarse, None).tolist() == [1, 1, 1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_blocks_begin_with_them(tmp_path, capsys, monkeypatch):
     weights = []
     monkeypatch.setattr(cut, "make_partition", lambda *rest: (

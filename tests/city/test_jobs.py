@@ -311,7 +311,7 @@ def test_workers_are_killed_and_every_job_is_done_once(dask, tmp_path):
     assert all((job.folder / STATE).read_text() == "80" for job in given)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_scheduler_that_is_restarted(dask, tmp_path):
     """Its workers end with it, as those of Dask do, and are started again."""
     given = some_jobs(tmp_path, 3)

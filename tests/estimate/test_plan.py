@@ -184,7 +184,8 @@ def measured_peak(device, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [
-    {"schedule": "sig", "levels": (2.0, 1.0), "downscale": 2.0, "iterations": 600},
+    pytest.param({"schedule": "sig", "levels": (2.0, 1.0), "downscale": 2.0, "iterations": 600},
+                 marks=pytest.mark.nightly),
     {"schedule": "taming", "downscale": 4.0, "iterations": 240, "taming_budget": 4.0}], ids=str)
 def test_a_run_takes_what_was_foretold(tmp_path, item_device, monkeypatch, options):
     """Memory, which has the margins of training/capacity.py, within 20 %; of the time no more

@@ -59,8 +59,9 @@ def test_however_a_frame_is_cut_its_bytes_are_the_same(device, monkeypatch, name
         assert_same(expected, actual)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.6, 0.3, 0.15])
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(2)
 def test_a_frame_above_the_limit_is_rendered_in_bands_below_it(device, share):
     case = cases.gaussians("many", count=300)
     whole, expected = results(device, case)

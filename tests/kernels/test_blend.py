@@ -211,7 +211,8 @@ SIZES = [(32, 32, 32), (32, 128, 64), (64, 64, 64)]
 
 @pytest.mark.parametrize("wave, bucket, adjoint_group", SIZES)
 @pytest.mark.parametrize("count", [31, 64, 65, 129])
-@pytest.mark.one_in(12)
+@pytest.mark.slow
+@pytest.mark.one_in(6)
 def test_sizes_of_waves_buckets_and_groups(group_device, monkeypatch, wave, bucket, adjoint_group,
                                            count):
     """The last bucket and the last three splats that are summed together are full or not."""

@@ -47,7 +47,7 @@ def whole(item_device, city, tmp_path_factory):
     return trained(tmp_path_factory.mktemp("whole") / "run", city, item_device, eval_every=50)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_twice_the_same_bytes(float_device, city, tmp_path):
     runs = [trained(tmp_path / name, city, float_device) for name in "ab"]
     assert model_digest(runs[0]) == model_digest(runs[1])

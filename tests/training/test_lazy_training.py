@@ -23,7 +23,7 @@ def rows_after(scene, options, device, folder):
     return training.session.model.download().rows
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_lazy_training_is_dense_training(item_device, tmp_path, monkeypatch):
     """In double precision, to 1e-5 of the movement in 130 steps with a growing degree: what
     an element of almost no gradient does, where epsilon counts, included."""

@@ -69,7 +69,7 @@ def test_a_training_that_lacks_room_ends_in_the_same_bytes(item_device, city, tm
     same_bytes(item_device, city, tmp_path, monkeypatch, repeated, name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["taming", "sig batch"])  # between them, every kernel of a step
 def test_so_it_does_in_the_group_form(group_device, city, tmp_path, monkeypatch, repeated, name):
     if group_device.real == np.float32:
