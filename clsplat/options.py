@@ -87,8 +87,8 @@ class RunOptions:
     lpips: str = option("", "Run", "ONNX file of an LPIPS network, by which the finished model is "
                         "compared with the held-out photos as well; needs `pip install "
                         "onnxruntime`", affects="nothing", words={"none": ""})
-    snapshots: bool = option(False, "Run", "keep the model at the end of each level, for `clsplat "
-                             "render --lod`", affects="time", part="levels", flag=False)
+    snapshots: bool = option(False, "Run", "keep the model at the end of each level, for 3D "
+                             "Tiles", affects="time", part="levels", flag=False)
     coarse: bool = option(False, "Run", "train the coarse model of a city: photos at half size, "
                           "unless -r says otherwise", sets={True: {
                               "downscale": 2.0,

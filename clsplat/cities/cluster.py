@@ -16,7 +16,7 @@ from contextlib import suppress
 from typing import Any
 
 import clsplat
-from clsplat.cities.jobs import Job, Lost, Unfit, device_here, line_of, watched
+from clsplat.cities.jobs import Job, Lost, Unfit, device_here, line_of
 from clsplat.errors import DeviceError, InputError
 
 CONNECT_SECONDS, POLL_SECONDS = 10, 2.0
@@ -152,9 +152,7 @@ def _on_worker(job: Job, version: str, run: str) -> tuple[Any, str]:
         name = "" if str(worker.name) == worker.address else f" {worker.name}"
         return Unfit(f"worker{name} at {worker.address} on {socket.gethostname()}: {error}"
                      ), worker.address
-    with watched(job.folder):
-        value = None if job.is_done else job.run(device, stopping=stopping)
-    return value, worker.address
+    return None if job.is_done else job.run(device, stopping=stopping), worker.address
 
 
 def _stop(run: str, dask_worker: Any) -> None:

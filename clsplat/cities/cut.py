@@ -172,7 +172,7 @@ def block_steps(options: TrainOptions, steps: float, size: tuple[int, int], fact
     """
     schedule = schedule_of(options.schedule)
     shrunk = dataclasses.replace(options, iterations=max(1, round(steps)), eval_at=(),
-                                 eval_every=0, lpips="", snapshots="levels" in schedule.parts)
+                                 eval_every=0, lpips="", snapshots=False)
     shrunk = dataclasses.replace(shrunk, **schedule.options_of_block(shrunk, size, facts))
     return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
             if field.name not in ("init", "coarse")}
@@ -195,7 +195,7 @@ def options_of_joint(options: TrainOptions, steps: float, scene: Scene,
     """
     given = block_steps(options, steps, smallest_size([scene.views[index] for index in views]),
                         facts)
-    return {**options_of_blocks(given, decided), "depth": options.depth, "snapshots": False,
+    return {**options_of_blocks(given, decided), "depth": options.depth,
             "levels": options.levels, "level_reset": options.level_reset}
 
 

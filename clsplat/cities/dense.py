@@ -1,23 +1,16 @@
 """The gaussians at dense points with which one run of the whole scene would begin.
 
-Blocks begin with those of them that stand in gaps of the coarse model (partition/blocks.py). A city
-with several workers has them found by one of these during its coarse run.
+Blocks begin with those of them that stand in gaps of the coarse model (partition/blocks.py).
 """
 
-import shutil
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from clsplat.cities.jobs import Job, never
-from clsplat.cities.stages import begin_from_coarse
-from clsplat.cities.workers import Workers
 from clsplat.device import Device
 from clsplat.gaussians import Gaussians
-from clsplat.io.folders import make_folder
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
@@ -28,19 +21,6 @@ from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
 from clsplat.training.start.initialise import first_gaussians
 from clsplat.training.start.prepare import prepare
-
-FOLDER = "start"  # of the job's log, in the city's folder meanwhile
-
-
-@dataclass(frozen=True)
-class DenseJob(Job):
-    """`find_dense_gaussians` for the city in whose folder the job's folder is."""
-
-    def run(self, device: Device, progress: SilentProgress | None = None,
-            stopping: Callable[[], bool] = never) -> None:
-        """Find them."""
-        city = CityFolder(self.folder.parent)
-        find_dense_gaussians(city, *begin_from_coarse(city), device, progress)
 
 
 def find_dense_gaussians(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
@@ -70,36 +50,6 @@ def find_dense_gaussians(city: CityFolder, scene: Scene, options: TrainOptions, 
     gaussians, _ = first_gaussians(device, prepared, progress or SilentProgress())
     write_ply(city.dense, gaussians.with_sh_degree(0).scaled(prepared.scene.unit), scene.offset,
               sphere=True)
-
-
-def found_beside(city: CityFolder, scene: Scene, options: TrainOptions, workers: Workers
-                 ) -> Callable[[], bool]:
-    """Have a worker do the work of `find_dense_gaussians` while this process does other work.
-
-    Parameters
-    ----------
-    city : its folder, with its record.
-    scene, options : the whole.
-    workers : of this machine.
-
-    Returns
-    -------
-    A function that waits for the worker, and returns whether it succeeded; else the work is left.
-    """
-    if city.has_partition or city.dense.is_file():
-        return lambda: False
-    # else the worker and the coarse run would both write the undistorted photos
-    undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
-    folder = city.path.resolve() / FOLDER
-    make_folder(folder)
-    future = workers.beside(DenseJob("dense points", folder, options.device, options.form))
-
-    def found() -> bool:
-        succeeded = future.exception() is None
-        shutil.rmtree(folder, ignore_errors=True)
-        return succeeded
-
-    return found
 
 
 def dense_gaussians(city: CityFolder, scene: Scene, sh_degree: int) -> Gaussians | None:

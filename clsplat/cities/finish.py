@@ -1,10 +1,8 @@
-"""The end of a city: one model of its blocks, its levels of detail, and its scores."""
+"""The end of a city: one model of its blocks, and its scores."""
 
 import logging
 import shutil
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +10,9 @@ import numpy as np
 
 from clsplat.cities.cut import draw
 from clsplat.cities.joint import train_jointly
-from clsplat.cities.lod import merge_levels
 from clsplat.cities.merge import Merged, merge
-from clsplat.cities.scoring import reference_model, score_in_shares, views_of
-from clsplat.cities.seams import find_seams, inspect_views
-from clsplat.cities.stages import COARSE_FACTOR
+from clsplat.cities.seams import find_seams
 from clsplat.cities.tree import merge_tree
-from clsplat.cities.workers import Workers
 from clsplat.device import Device
 from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.evaluation.run import Run
@@ -59,14 +53,12 @@ def reference_file(against: Path | None, tree: bool) -> Path | None:
     return path
 
 
-@contextmanager
 def merged_city(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
                 fill: bool = False, progress: SilentProgress | None = None, joint: bool = True
-                ) -> Iterator[Merged]:
-    """Merge the blocks of a city into its model and its levels of detail, and train that jointly.
+                ) -> Merged:
+    """Merge the blocks of a city into its model, and train that jointly.
 
-    The model is there during the `with` block, its levels of detail at the end of that. A tree of
-    an earlier merge is removed, since it may be of other blocks.
+    A tree of an earlier merge is removed, since it may be of other blocks.
 
     Parameters
     ----------
@@ -78,8 +70,8 @@ def merged_city(city: CityFolder, scene: Scene, options: TrainOptions, device: D
     progress : of the joint training.
     joint : whether there is one, where the partition includes it.
 
-    Yields
-    ------
+    Returns
+    -------
     The blocks, with the gaussians of the joint training where there is one.
 
     Raises
@@ -90,17 +82,14 @@ def merged_city(city: CityFolder, scene: Scene, options: TrainOptions, device: D
     merged = merge(city, scene, fill)
     merged.check()
     run = RunFolder(city.path)
-    with ThreadPoolExecutor(1) as beside:  # while the device is busy
-        levels = beside.submit(write_levels, city, scene)
-        if joint:
-            merged = _trained_jointly(city, scene, options, device, merged, progress)
-        (run.path / TREE).unlink(missing_ok=True)
-        _note_merge(city, scene, options, device, merged, joint)
-        run.save_model(merged.gaussians, scene.offset, (
-            f"merged of {len(merged.shares)} blocks",
-            *placement_comments(scene.up, scene.georeference)))
-        yield merged
-        levels.result()
+    if joint:
+        merged = _trained_jointly(city, scene, options, device, merged, progress)
+    (run.path / TREE).unlink(missing_ok=True)
+    _note_merge(city, scene, options, device, merged, joint)
+    run.save_model(merged.gaussians, scene.offset, (
+        f"merged of {len(merged.shares)} blocks",
+        *placement_comments(scene.up, scene.georeference)))
+    return merged
 
 
 def _trained_jointly(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
@@ -149,23 +138,8 @@ def _note_merge(city: CityFolder, scene: Scene, options: TrainOptions, device: D
         run.save_exposures(responses)
 
 
-def write_levels(city: CityFolder, scene: Scene) -> None:
-    """Write the levels of detail of the whole: those of the coarse run, and of its blocks."""
-    keep_coarse_levels(city, scene)
-    merge_levels(city, scene)
-
-
-def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:
-    """Make the coarse model and its snapshots levels of detail of the whole."""
-    coarse, whole = RunFolder(city.coarse), RunFolder(city.path)
-    for factor, path in [*coarse.snapshots(), (1.0, coarse.model_path)]:
-        level = COARSE_FACTOR * factor
-        whole.save_snapshot(level, read_ply(path, scene.offset).without_spheres(), scene.offset,
-                            (f"level {level:g}",))
-
-
 def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merged: Merged,
-                  against: Path | None, workers: Workers
+                  against: Path | None = None
                   ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """Score the merged model on the held-out views, measure its seams, and write the report.
 
@@ -176,7 +150,6 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     device : an open device.
     merged : that of `merged_city`.
     against : the PLY file of the reference for seams; None: that of the coarse model.
-    workers : each scores a share of the views.
 
     Returns
     -------
@@ -189,11 +162,9 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     scores = seams = None
     whole = run.scene(whole=True)
     scene = run.as_trained(whole)
-    views, held_out = views_of(scene, options)
-    scored = score_in_shares(city, options, against, views, workers)
-    if held_out:
+    train, test = scene.split(options.test_every, options.test_offset)
+    if test:
         scores = evaluate_run(run, device, save_images=False, metrics=final_metrics(options.lpips),
-                              per_view=list(scored.per_view.values()) if scored else None,
                               gaussians=merged.gaussians)
         run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
                                                      if key not in ("per_view", "pictures")}})
@@ -201,10 +172,9 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     if not city.picture.is_file():
         draw(city, partition, scene, counts)
     if len(counts) > 1:
-        errors = scored.errors if scored else inspect_views(
-            device, partition, scene, views, options, merged.gaussians,
-            reference_model(city, scene, against))
-        seams = find_seams(partition, errors, len(views))
+        reference = read_ply(against or RunFolder(city.coarse).model_path, scene.offset)
+        seams = find_seams(device, partition, scene, test or train, options, merged.gaussians,
+                           reference.without_spheres())
         run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
                         "worst_seam_db": seams["worst_seam_db"], "borders": seams["borders"]})
     write_report(run.folder, scores["pictures"] if scores else training_pictures(run, device),

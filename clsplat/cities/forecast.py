@@ -1,35 +1,28 @@
 """Forecasts of the memory and time of a city's blocks."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from clsplat.cities.block import block_options
 from clsplat.cities.scene import BlockScene
 from clsplat.device import Device
-from clsplat.estimate.cost import fitted, pixels
-from clsplat.estimate.forecast import MIB, Forecast, Planned
-from clsplat.estimate.measured import LEAST_STEPS, MeasuredSteps
+from clsplat.estimate.cost import pixels
+from clsplat.estimate.forecast import MIB, Planned
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import LEARNED
-from clsplat.io.runs.city import DENSE, EXCHANGES, CityFolder
+from clsplat.io.runs.city import DENSE, CityFolder
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.options import ScheduledOptions
 from clsplat.partition.grid import makespan
-from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, PartitionOptions
+from clsplat.partition.options import JOINT_STEPS, PartitionOptions
 from clsplat.rendering.options import RenderingOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
 from clsplat.training.start.prepare import scene_facts
 
-GIB = 2**30
-COARSE_COST = 0.25  # time of the coarse run, as a share of the time of one run of the whole
-PLY_BYTES = 248  # of a gaussian with all spherical harmonics
-PART_BYTES = 708  # the same with Adam's moments, in a file of an exchange
-# for each block, of a cluster's scheduler, client and workers, measured with 40 workers that sleep
-DASK_SECONDS, DASK_BYTES = 0.05, 12_000
+LEAST_MEASURED = 3  # steps of the coarse run, for the three numbers that `cost.fitted` finds
 # of the device's memory for parameters and moments: frames take as much again, photos a quarter,
 # and growth holds a part of the model twice for a moment
 MODEL_SHARE = 0.27
@@ -58,71 +51,12 @@ def expected_gaussians(facts: SceneFacts, options: ScheduledOptions) -> int:
     return max(facts.count, facts.pixels // PIXELS_PER_GAUSSIAN if limit is None else limit)
 
 
-def gaussians_that_fit(device: Device, options: RenderingOptions, memory_bytes: int = 0) -> int:
-    """How many gaussians a block may have at the end on a device.
-
-    Parameters
-    ----------
-    device, options : of the training.
-    memory_bytes : of another device that is meant; 0: this one's.
-    """
+def gaussians_that_fit(device: Device, options: RenderingOptions) -> int:
+    """How many gaussians a block may have at the end on a device."""
     degree = options.sh_degree if isinstance(options.sh_degree, int) else 3  # auto
     floats = sum(field.width(degree) for field in LEARNED)
     each = 3 * floats * device.real.itemsize
-    return max(1, int(MODEL_SHARE * (memory_bytes or device.handle.global_mem_size) / each))
-
-
-def scale_table(planned: Planned, forecast: Forecast, device: Device, margin: float,
-                photos: Iterable[int], size: tuple[int, int] | None = None, workers: int = 1,
-                known: MeasuredSteps | None = None) -> Table:
-    """The cost of cities with more photos like those of a planned scene.
-
-    Everything grows with the number of photos, but a block is as large as the device allows, or
-    smaller where there are more devices. With the size of a photo grow the gaussians that it
-    shows, and what a step takes but for its fixed part.
-
-    Parameters
-    ----------
-    planned, forecast : of the scene, which is taken as typical.
-    margin : of blocks.
-    photos : numbers of photos, a row for each.
-    size : width and height of the photos; None: those of the scene.
-    workers : devices that train blocks at the same time.
-    known : steps of another device, on which `forecast` rests; None: `device` is meant.
-    """
-    views, options = planned.prepared.train_views, planned.prepared.options
-    pixels = sum(view.camera.width * view.camera.height for view in views) / len(views)
-    larger = 1.0 if size is None else size[0] * size[1] / pixels
-    fixed = fitted(forecast.measured)[0] * forecast.steps if size else 0.0
-    once = fixed + larger * (forecast.seconds - fixed)  # all steps of the scene
-    limit = gaussians_that_fit(device, options, known.memory_bytes if known else 0)
-    shared = (1 + 2 * margin) ** 2
-    rows = []
-    for count in photos:
-        share = count / len(views)
-        gaussians = int(forecast.gaussians * share * larger)
-        whole = gaussians <= limit and workers == 1
-        times = 1 if whole else shared  # blocks that train a gaussian, on average
-        visits = 1 if whole else BLOCK_STEPS
-        blocks = max(-(-int(gaussians * times) // limit), workers)
-        coarse = 0.0 if whole else COARSE_COST * once * share
-        trained = once * share * visits
-        elapsed = coarse + trained / blocks * -(-blocks // workers)
-        steps = options.iterations * share * visits / blocks
-        rows.append((f"{count:,}", f"{blocks:,}", f"{count * times / blocks:,.0f}",
-                     f"{steps:,.0f}", f"{gaussians:,}", f"{gaussians * PLY_BYTES / GIB:,.1f}",
-                     f"{3 * larger * pixels * count / GIB:,.1f}",
-                     f"{(trained + coarse) / 3600:,.2f}", f"{elapsed / 3600:,.2f}",
-                     f"{DASK_SECONDS * blocks:,.1f}", f"{DASK_BYTES * blocks / MIB:,.2f}"))
-    head = ("photos", "blocks", "photos a block", "steps a block", "gaussians", "model, GiB",
-            "pixels, GiB", "device hours", f"hours on {workers}", "scheduler, s", "MiB")
-    name = known.device if known else device.name
-    of_size = f" of {size[0]}x{size[1]}" if size else ""
-    return Table("At scale", head, rows, range(11), (
-        f"For photos like these{of_size}, on {name}, in as few blocks as fit it and at least one a "
-        f"device, which take {BLOCK_STEPS:g} times the steps of one run together. "
-        "The coarse run is on one device. Scheduler: total CPU time and bytes of a Dask cluster.",
-    ))
+    return max(1, int(MODEL_SHARE * device.handle.global_mem_size / each))
 
 
 def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) -> Table:
@@ -174,8 +108,7 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
         f"{note} The number at the end, MiB and minutes are forecasts for a block that has "
         f"{device.name} to itself, from steps of "
         f"{COARSE_NOTE if known else f'block {largest.path.name}'}. All blocks take "
-        f"{each * sum(steps):.1f} minutes on one such device, {times} (--workers).",
-        *exchange_notes((record for _, record in records), forecast.gaussians / max(initial))))
+        f"{each * sum(steps):.1f} minutes on one such device, {times} (--workers).",))
 
 
 def trains_jointly(facts: SceneFacts, photos: int, options: ScheduledOptions) -> bool:
@@ -222,18 +155,4 @@ def coarse_steps(city: CityFolder, device: Device) -> list[tuple[float, float, f
               / (record["iteration"] - before["iteration"]))
              for before, record in pairwise(records) if before["level"] == record["level"]]
     steps = [step for step in steps if step[2] > 0]
-    return steps if len(steps) >= LEAST_STEPS else []
-
-
-def exchange_notes(records: Iterable[Mapping[str, Any]], growth: float) -> tuple[str, ...]:
-    """What the exchanges of blocks leave on the disk, as notes of a table; none without exchanges.
-
-    Parameters
-    ----------
-    records : of the blocks, as `BlockFolder.read` returns them.
-    growth : gaussians of a block at the end over those at the start.
-    """
-    times = [(len(record.get(EXCHANGES, ())), record["own"]) for record in records]
-    written = growth * PART_BYTES * sum(count * own for count, own in times)
-    return (f"The blocks exchange gaussians {max(times)[0]} times; that leaves files of at most "
-            f"{written / MIB:,.0f} MiB.",) if written else ()
+    return steps if len(steps) >= LEAST_MEASURED else []

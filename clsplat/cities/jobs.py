@@ -6,15 +6,12 @@ that ends with its process.
 
 from __future__ import annotations
 
-import logging
 import multiprocessing.util
 import os
 import socket
 import tempfile
-import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count
@@ -23,14 +20,11 @@ from typing import Any
 
 from clsplat.device import Device, choose_device
 from clsplat.errors import DeviceError, InputError
-from clsplat.io.lock import LockTaken, exclusive, latest_change
+from clsplat.io.lock import LockTaken, exclusive
 from clsplat.training.progress import SilentProgress
 
 HERE = "this machine"
-HANG_SECONDS = 3600  # without a change in its job's folder, after which a worker ends itself
 GRACE_SECONDS = 120  # for an interrupted worker to save its state
-
-log = logging.getLogger(__name__)
 
 
 def never() -> bool:
@@ -104,28 +98,6 @@ def device_here(name: str, form: str) -> Device:
     """
     os.environ["POCL_CACHE_DIR"] = str(_own_kernel_cache())
     return choose_device(os.environ.get("CLSPLAT_DEVICE") or name, form=form)
-
-
-@contextmanager
-def watched(folder: Path) -> Iterator[None]:
-    """End this process once it does nothing in a folder during the block: its disk or its device
-    hangs, so that it can neither save its state nor end itself."""
-    ended = threading.Event()
-
-    def watch() -> None:
-        change, changed = latest_change(folder), time.monotonic()
-        while not ended.wait(min(60.0, HANG_SECONDS / 10)):
-            if (latest := latest_change(folder)) != change:
-                change, changed = latest, time.monotonic()
-            elif time.monotonic() - changed > HANG_SECONDS:
-                log.error("%s: nothing was done for %g s", folder, HANG_SECONDS)
-                os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-    try:
-        yield
-    finally:
-        ended.set()
 
 
 @lru_cache(maxsize=1)

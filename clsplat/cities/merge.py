@@ -17,18 +17,14 @@ from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.lock import holder, is_locked
-from clsplat.io.models.ply import read_ply, start_of
 from clsplat.io.runs.city import BlockFolder, CityFolder
-from clsplat.io.runs.run import MODEL, RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint
 from clsplat.partition.input import world_of
 from clsplat.partition.partition import Partition
 from clsplat.scene import Scene
 
 READ_TOGETHER = 4  # blocks, where all of them will be in memory
-# a block's model whose share in its cell is below MOST_SUSPECT, and below LEAST_KEPT times that of
-# its LEAST_INITIAL or more initial gaussians, is of another block
-MOST_SUSPECT, LEAST_KEPT, LEAST_INITIAL = 0.5, 0.6, 100
 STARVED = 0.1  # gaussians for each sparse point of its cell; a block with fewer did not train well
 FILLED = ("merged", "coarse")  # states of a block whose cell is filled
 TRAINS = "in training"  # by another process, at this moment
@@ -199,27 +195,7 @@ def _block(folder: BlockFolder, number: int, partition: Partition, scene: Scene
     except InputError as error:
         return "refused", 0, None, str(error)
     piece = cropped(gaussians, partition, number, scene.offset)
-    if note := _alarm(folder, piece.count, gaussians.count, partition, number, scene.offset):
-        return "refused", gaussians.count, None, note
     return "merged", gaussians.count, piece, ""
-
-
-def _alarm(folder: BlockFolder, kept: int, trained: int, partition: Partition, number: int,
-           offset: NDArray[np.float64]) -> str:
-    """Why a model cannot be that of its block, by the share of its gaussians that are kept; "".
-
-    Models of earlier versions do not record whose they are.
-    """
-    if (kept > MOST_SUSPECT * trained or start_of(folder.run / MODEL)
-            or not folder.initial.is_file()):
-        return ""
-    initial = read_ply(folder.initial, offset)
-    began = cropped(initial, partition, number, offset).count
-    if initial.count < LEAST_INITIAL or kept * initial.count > LEAST_KEPT * began * trained:
-        return ""
-    return (f"{folder.run / MODEL}: only {kept:,} of its {trained:,} gaussians lie in the cell of "
-            f"{folder.path}, where {began:,} of {initial.count:,} began; it is probably of another "
-            "block: put the block's own there, or remove the run, and run `clsplat city` again")
 
 
 def _check_numbers(city: CityFolder, count: int) -> None:

@@ -17,7 +17,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from typing import Any
 
-from clsplat.cities.jobs import GRACE_SECONDS, HERE, Job, device_here, line_of, watched
+from clsplat.cities.jobs import GRACE_SECONDS, HERE, Job, device_here, line_of
 from clsplat.errors import ClsplatError, Interrupted
 from clsplat.training.interrupt import handled_interrupts, was_interrupted
 
@@ -80,13 +80,10 @@ class Process:
         """Whether it has no job."""
         return self.future is None or self.future.done()
 
-    def start(self, opens: tuple[str, str] | None = None) -> ProcessPoolExecutor:
-        """Start the process; `opens` are the arguments of `device_here`, which it calls then."""
+    def _start(self) -> ProcessPoolExecutor:
         self._executor = started = ProcessPoolExecutor(
             1, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(self.device,))
         self._pid = started.submit(os.getpid)
-        if opens:
-            started.submit(_ready, *opens)
         return started
 
     def submit(self, job: Job) -> Future[Any]:
@@ -94,9 +91,9 @@ class Process:
         if self.future and self.future.exception():
             self.close()
         try:
-            self.future = (self._executor or self.start()).submit(_work, job)
+            self.future = (self._executor or self._start()).submit(_work, job)
         except BrokenProcessPool:  # it was killed while it had no job
-            self.future = self.start().submit(_work, job)
+            self.future = self._start().submit(_work, job)
         return self.future
 
     def interrupt(self) -> None:
@@ -185,12 +182,6 @@ def _begin(device: str) -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-def _ready(name: str, form: str) -> None:
-    """Open the device before there is a job, which will raise its error."""
-    with suppress(ClsplatError):
-        device_here(name, form)
-
-
 def _work(job: Job) -> Any:
     """Run a job in a process of this machine; what it prints goes to its log."""
     with open(job.folder / LOG, "ab") as output:
@@ -198,7 +189,7 @@ def _work(job: Job) -> Any:
                      f"{job.name}\n".encode())
         for number in (1, 2):
             os.dup2(output.fileno(), number)
-    with handled_interrupts(), watched(job.folder):
+    with handled_interrupts():
         try:
             return None if job.is_done else job.run(device_here(job.device, job.form))
         except ClsplatError:

@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 from clsplat.cities.blocks import reason_of, train_blocks
 from clsplat.cities.cluster import connected
 from clsplat.cities.cut import cut_into_blocks, draw, requested_of
-from clsplat.cities.dense import find_dense_gaussians, found_beside
+from clsplat.cities.dense import find_dense_gaussians
 from clsplat.cities.finish import evaluate_city, merge_city_tree, merged_city, reference_file
 from clsplat.cities.forecast import (
     block_table,
@@ -95,7 +95,7 @@ def city(scene: Scene, options: TrainOptions, output: Path, *,
     workers : how many blocks are trained at a time on this machine; None: one for each device, or
         as many as share a GPU well. With a scheduler: for how many workers to cut.
     devices : names of devices, as in `clsplat devices`; none: that of `options`.
-    scheduler : address of a Dask scheduler, whose workers train the blocks and score the result.
+    scheduler : address of a Dask scheduler, whose workers train the blocks.
     fill : whether the coarse model's gaussians are used if a block fails.
     against : a run of the whole scene, or its PLY, as the reference for seams; None: the coarse
         model.
@@ -127,29 +127,22 @@ def city(scene: Scene, options: TrainOptions, output: Path, *,
     if not folder.has_record:
         folder.check_free()
     with RunFolder(folder.path).locked(), Workers(cutting.workers, scheduler, devices) as all_:
-        all_.start(options.device, options.form)
         begin(folder, scene, options)
         for note in (size_note(scene.views, options), one_block_note(cutting, scene.path)):
             if note:
                 shown.line(note)
         with stopped_at(folder):
             _train(folder, scene, options, device, cutting, all_, fill, shown)
-        return merge_city(folder, scene, options, device, all_, fill, reference, tree, shown=shown)
+        return merge_city(folder, scene, options, device, fill, reference, tree, shown=shown)
 
 
 def _train(folder: CityFolder, scene: Scene, options: TrainOptions, device: Device,
            cutting: PartitionOptions, workers: Workers, fill: bool, shown: Shown) -> None:
     """The coarse run, the partition and the blocks; arguments as for `city`."""
-    # a city with a joint training is so small that the host can hold the photos of both; with
-    # several devices all but one would wait for the coarse run
-    helped = workers.several and not workers.scheduler and (
-        cutting.joint_steps or len(workers.devices) > 1)
-    found = found_beside(folder, scene, options, workers) if helped else lambda: False
     with shown.stage("coarse run") as progress:
         train_coarse(folder, scene, options, device, progress, cutting.joint_steps > 0)
     with shown.stage("start of blocks") as progress:
-        if not found():
-            find_dense_gaussians(folder, scene, options, device, progress)
+        find_dense_gaussians(folder, scene, options, device, progress)
     partition, counts = cut_into_blocks(folder, scene, options, cutting, device)
     # trial steps would keep the other devices waiting
     shown.line(block_table(folder, None if workers.several else device, counts).text())
@@ -193,7 +186,7 @@ def cut_city(folder: CityFolder, partition: Mapping[str, Any], scene_path: Path 
 
 
 def merge_city(folder: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-               workers: Workers, fill: bool = False, reference: Path | None = None,
+               fill: bool = False, reference: Path | None = None,
                tree: bool = False, joint: bool = True, shown: Shown | None = None) -> Finished:
     """Merge the finished blocks of a city, train the whole jointly, and evaluate it.
 
@@ -202,7 +195,6 @@ def merge_city(folder: CityFolder, scene: Scene, options: TrainOptions, device: 
     folder : of the city.
     scene, options : the whole.
     device : an open device.
-    workers : which score the views.
     fill, tree, shown : as for `city`.
     reference : the PLY of the reference for seams; None: the coarse model.
     joint : whether there is a joint training, if the partition includes it.
@@ -214,12 +206,9 @@ def merge_city(folder: CityFolder, scene: Scene, options: TrainOptions, device: 
     """
     if tree:
         return Finished(merge_city_tree(folder, scene, options, device, fill))
-    with ExitStack() as stack:  # levels of detail are still written while the model is evaluated
-        with stopped_at(folder), (shown or Shown()).stage("joint training") as progress:
-            merged = stack.enter_context(
-                merged_city(folder, scene, options, device, fill, progress, joint))
-        return Finished(merged, True, *evaluate_city(folder, options, device, merged,
-                                                     reference, workers))
+    with stopped_at(folder), (shown or Shown()).stage("joint training") as progress:
+        merged = merged_city(folder, scene, options, device, fill, progress, joint)
+    return Finished(merged, True, *evaluate_city(folder, options, device, merged, reference))
 
 
 @contextmanager

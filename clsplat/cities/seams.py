@@ -12,7 +12,7 @@ seam_db         PSNR that the merged model lacks in the strip: its gain over the
                 by the few corners that hardly any photo shows.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,72 +89,43 @@ def find_borders(partition: Partition) -> list[Border]:
 
 
 Model = tuple[ModelRenderer, Any, int]  # on a device, see `evaluation.views.opened`
-# for each border, and finally for all of them together, (index of a view, float64[2, 3]): in the
-# strip and elsewhere, the pixels and the squared errors of the merged model and the reference
-Errors = list[list[tuple[int, NDArray[np.float64]]]]
-
-
-def joined(shares: Sequence[Errors]) -> Errors:
-    """The errors of all views from those of some of the views each."""
-    return [sorted((each for share in shares for each in share[border]), key=lambda error: error[0])
-            for border in range(len(shares[0]))]
-
-
-def find_seams(partition: Partition, errors: Errors, views: int) -> dict[str, Any]:
-    """How visible the seams between blocks are.
+def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequence[View],
+               options: RenderingOptions, merged: Gaussians, reference: Gaussians
+               ) -> dict[str, Any]:
+    """How visible the seams between blocks are. All models are in the scene's frame.
 
     Parameters
     ----------
-    partition : the blocks.
-    errors : the result of `inspect_views` for all views.
-    views : their number.
+    device : an open device.
+    partition, scene : the whole.
+    views : at the size of the renders.
+    options : how models are rendered.
+    merged : the model of all blocks.
+    reference : a model trained in one piece: the coarse one, or another to compare with.
 
     Returns
     -------
     {"borders": [a dict for each border], "seam_db", "worst_seam_db", "views"}; figures that cannot
     be measured are None.
     """
-    scores = [_scores([sums for _, sums in of_border]) for of_border in errors]
-    records = [{"blocks": [border.first, border.second], **each}
-               for border, each in zip(find_borders(partition), scores)]
-    seams = [record["seam_db"] for record in records if record["seam_db"] is not None]
-    return {"borders": records, "views": views, "worst_seam_db": max(seams, default=None),
-            "seam_db": scores[-1]["seam_db"]}
-
-
-def inspect_views(device: Device, partition: Partition, scene: Scene, views: Sequence[View],
-                  options: RenderingOptions, merged: Gaussians, reference: Gaussians,
-                  chosen: Iterable[int] | None = None) -> Errors:
-    """The errors of views beside each border. All models are in the scene's frame.
-
-    Parameters
-    ----------
-    device : an open device.
-    partition : the blocks.
-    scene : the whole.
-    views : the views to render, at the size of the renders.
-    options : how models are rendered.
-    merged : the model of all blocks.
-    reference : a model trained in one piece: the coarse one, or another to compare with.
-    chosen : indices of the views to inspect, ascending; None: all.
-    """
     borders, space = find_borders(partition), partition.space
     on_device, other = (opened(device, model, scene, options) for model in (merged, reference))
-    errors: Errors = [[] for _ in range(len(borders) + 1)]
+    # of each border, and finally of all of them together: a float64[2, 3] for each view, in the
+    # strip and elsewhere, the pixels and the squared errors of the merged model and the reference
+    errors: list[list[NDArray[np.float64]]] = [[] for _ in range(len(borders) + 1)]
 
-    def rendered() -> Iterator[tuple[int, Image, NDArray[np.float64], Image]]:
-        for index in range(len(views)) if chosen is None else chosen:
-            camera = views[index].camera
-            yield index, *_picture(on_device, camera), render_view(*other, camera)
+    def rendered() -> Iterator[tuple[View, Image, NDArray[np.float64], Image]]:
+        for view in views:
+            yield view, *_picture(on_device, view.camera), render_view(*other, view.camera)
 
-    def inspect(index: int, image: Image, place: NDArray[np.float64], reference: Image
-                ) -> list[tuple[int, tuple[int, NDArray[np.float64]]]]:
+    def inspect(view: View, image: Image, place: NDArray[np.float64], reference: Image
+                ) -> list[tuple[int, NDArray[np.float64]]]:
         """(border, errors) for each border that the view shows, and for all."""
-        known, valid = np.isfinite(place).all(axis=-1), read_valid(views[index])
+        known, valid = np.isfinite(place).all(axis=-1), read_valid(view)
         if valid is not None and not (known := known & valid).any():
             return []
         coordinates = space.to(place[known] + scene.offset)
-        photo = photo_of(views[index])
+        photo = photo_of(view)
         wrong = [((fit_colour(shown, photo, valid) - photo) ** 2).mean(axis=-1)[known]
                  for shown in (image, reference)]
         values = np.stack([np.ones_like(wrong[0]), *wrong], axis=-1)
@@ -165,14 +136,19 @@ def inspect_views(device: Device, partition: Partition, scene: Scene, views: Seq
             away[inside] = False
         if near:
             near.append((len(borders), np.flatnonzero(~away)))
-        return [(number, (index, np.stack([values[inside].sum(axis=0), values[away].sum(axis=0)])))
+        return [(number, np.stack([values[inside].sum(axis=0), values[away].sum(axis=0)]))
                 for number, inside in near]
 
     most = scored_at_once(views)
     for found in called_ahead(inspect, rendered(), most, most):
         for number, of_view in found:
             errors[number].append(of_view)
-    return errors
+    scores = [_scores(of_border) for of_border in errors]
+    records = [{"blocks": [border.first, border.second], **each}
+               for border, each in zip(borders, scores)]
+    seams = [record["seam_db"] for record in records if record["seam_db"] is not None]
+    return {"borders": records, "views": len(views), "worst_seam_db": max(seams, default=None),
+            "seam_db": scores[-1]["seam_db"]}
 
 
 def _picture(model: Model, camera: Camera) -> tuple[Image, NDArray[np.float64]]:
@@ -190,7 +166,7 @@ def _picture(model: Model, camera: Camera) -> tuple[Image, NDArray[np.float64]]:
 
 
 def _scores(errors: ArrayLike) -> dict[str, Any]:
-    """The scores of a border from the errors of `_inspect_views`."""
+    """The scores of a border from its errors in each view."""
     names = "psnr", "reference_psnr", "elsewhere_psnr", "elsewhere_reference_psnr"
     views: NDArray[np.float64] = np.reshape(errors, (-1, 2, 3))
     pixels = int(views[:, 0, 0].sum())

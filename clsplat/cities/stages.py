@@ -17,7 +17,7 @@ from clsplat.io.runs.run import CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.scene import Scene
-from clsplat.schedule import chooses_steps, schedule_of, worthwhile_steps
+from clsplat.schedule import chooses_steps, worthwhile_steps
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
@@ -132,8 +132,8 @@ def coarse_options(options: TrainOptions, scene: Scene, joint: bool = False) -> 
     one_run, _, _ = worthwhile_steps(options, scene_facts(scene, training), len(training))
     share = COARSE_SHARE_BEFORE_JOINT if joint else COARSE_SHARE
     return dataclasses.replace(
-        options, coarse=True, init=AUTO, downscale=COARSE_FACTOR * options.downscale,
+        options, coarse=True, snapshots=False, init=AUTO,
+        downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
-        snapshots="levels" in schedule_of(options.schedule).parts,
         iterations=max(1, int(share * one_run)), eval_at=(),
         eval_every=0, lpips="")

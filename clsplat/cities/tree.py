@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
-from clsplat.cities.lod import CELL_GAUSSIANS, frequency
 from clsplat.cities.merge import Merged, merge
 from clsplat.edit.decimate import decimated
 from clsplat.edit.select import TAIL_SHARE, halves, merged, selected
@@ -25,7 +25,7 @@ from clsplat.io.models.tree import TreeWriter, writing_tree
 from clsplat.io.runs.city import CityFolder
 from clsplat.scene import Scene
 
-CELL = CELL_GAUSSIANS  # of a leaf at most
+CELL = 2048  # gaussians of a leaf at most
 FANOUT = 4  # nodes that one above replaces, at most, and how many times fewer gaussians it has
 LEAST = 1e-30  # frequency, where all gaussians are transparent
 Node = tuple[int, Gaussians]  # its number and its content
@@ -83,6 +83,23 @@ class TreeBuilder:
             for name in names:
                 facts[name] = end([facts[name], *(node[name] for node in below)], axis=0)
         return self.writer.add(content, facts, numbers), content
+
+
+def frequency(log_scales: NDArray[np.floating], opacity_logits: NDArray[np.floating]) -> float:
+    """The `robust_mean` of training/frequency.py, on the host; 0 without gaussians.
+
+    Parameters
+    ----------
+    log_scales : float[N, 3].
+    opacity_logits : float[N].
+
+    Returns
+    -------
+    In 1 / world unit.
+    """
+    opacity = expit(opacity_logits.astype(np.float64))
+    sigma = np.exp(log_scales.astype(np.float64)).mean(axis=1)
+    return float(opacity.sum() / max(opacity @ sigma, np.finfo(float).tiny))
 
 
 def facts_of(content: Gaussians) -> dict[str, Any]:

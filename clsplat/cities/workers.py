@@ -1,16 +1,14 @@
 """Runs jobs in this process, in processes of this machine, or on a Dask cluster.
 
 Executors of `concurrent.futures` and a client of `distributed` run them alike, as their futures
-have one protocol. A worker that dies, or that does nothing for an hour, is replaced.
+have one protocol. A worker that dies is replaced.
 """
 
 from __future__ import annotations
 
-import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -102,16 +100,6 @@ class Workers:
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-    def start(self, device: str, form: str) -> None:
-        """Start the processes of this machine, which open their device meanwhile; see `Job`."""
-        if self.several and not self.scheduler:
-            for process in self._processes().all[:os.cpu_count() or 1]:
-                process.start((device, form))
-
-    def beside(self, job: Job) -> Future[Any]:
-        """Start a job in a process of this machine, while this process does other work."""
-        return self._processes().submit(job)
 
     def run(self, jobs: Sequence[Job], here: Callable[[Any], Any],
             began: Callable[[Any], object] | None = None,

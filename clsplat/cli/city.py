@@ -49,13 +49,13 @@ def number_of_workers(text: str) -> int | None:
               help="Folder of the city; default: SCENE.city.")
 @click.option("--workers", type=Parsed("INTEGER", number_of_workers), default=AUTO,
               show_default=True, metavar="[auto|INTEGER]", **BLOCKS,
-              help="Number of blocks that are trained at a time on this machine, and of processes "
-              "that score the result; --grid auto makes at least as many blocks, and more where "
-              "the last worker then ends earlier. auto: one for each device, or as many as share "
-              "a GPU well: up to four, with four cores for each, and blocks "
-              "that fit its memory together. With --scheduler: for how many workers to cut.")
+              help="Number of blocks that are trained at a time on this machine; --grid auto makes "
+              "at least as many blocks, and more where the last worker then ends earlier. auto: "
+              "one for each device, or as many as share a GPU well: up to four, with four cores "
+              "for each, and blocks that fit its memory together. With "
+              "--scheduler: for how many workers to cut.")
 @click.option("--scheduler", default="", **BLOCKS, help="Address of a Dask scheduler, such as "
-              "tcp://10.0.0.1:8786, whose workers train the blocks and score the result.")
+              "tcp://10.0.0.1:8786, whose workers train the blocks.")
 @click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, use the coarse model's "
               "gaussians; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), **BLOCKS, help="A run of the whole "
@@ -131,7 +131,6 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
     from clsplat.cities.finish import reference_file
     from clsplat.cities.run import merge_city
     from clsplat.cities.stages import begin_from_coarse
-    from clsplat.cities.workers import Workers
     from clsplat.device import choose_device
     from clsplat.io.runs.city import CityFolder
     from clsplat.io.runs.run import RunFolder
@@ -140,7 +139,7 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
     reference = reference_file(against, tree)
     ctx.with_resource(RunFolder(folder).locked())
     data, options = begin_from_coarse(city, scene)
-    finished = merge_city(city, data, options, choose_device(device), Workers(), fill, reference,
+    finished = merge_city(city, data, options, choose_device(device), fill, reference,
                           tree, joint, _shown(False, options.stop_at))
     _print(city, finished, against, quiet=False)
 

@@ -12,10 +12,8 @@ from clsplat.cli.flags import (
     TrainingCommand,
     config_options,
     given_options,
-    size_type,
     training_flags,
 )
-from clsplat.errors import InputError
 from clsplat.schedule.plan import size_at
 
 if TYPE_CHECKING:
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
     from clsplat.estimate.forecast import Forecast
 
 MIB = 2**20
-MOST_PHOTOS, MOST_SIDE = 10**9, 10**6
 NAME_WIDTH = 12  # characters
 BUSY_LOAD = 0.5  # processes per core that run or wait
 
@@ -31,22 +28,8 @@ BUSY_LOAD = 0.5  # processes per core that run or wait
 @click.command(cls=TrainingCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
 @training_flags
-@click.option("--photos", default="", help="Also forecast cities with these numbers of photos "
-              "like those of SCENE, such as 1000,10000,100000.")
-@click.option("--margin", default=0.3, show_default=True,
-              help="With --photos: margin of the blocks, as for `clsplat city`.")
-@click.option("--photo-size", type=size_type(MOST_SIDE), help="With --photos: width and height of "
-              "those photos, such as 1152x864; default: as in SCENE.")
-@click.option("--workers", type=click.IntRange(1, MOST_PHOTOS), default=1, show_default=True,
-              help="With --photos: number of devices.")
-@click.option("--steps-to", type=click.Path(path_type=Path), help="Write the steps that are timed "
-              "here, and the device's name and memory, to a JSON file.")
-@click.option("--steps-from", type=click.Path(path_type=Path), help="Forecast the time for the "
-              "device of such a file, instead of timing steps here.")
 @click.pass_context
-def plan(ctx: click.Context, /, scene: Path, photos: str, margin: float,
-         photo_size: tuple[int, int] | None, workers: int, steps_to: Path | None,
-         steps_from: Path | None, **_options: object) -> None:
+def plan(ctx: click.Context, /, scene: Path, **_options: object) -> None:
     """Forecast the decisions, memory and time of a training.
 
     Takes the options of `clsplat train`. Prints a line for each part of the training that can be
@@ -56,15 +39,11 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, margin: float,
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.estimate.forecast import Planned
-    from clsplat.estimate.measured import MeasuredSteps
     from clsplat.io.scenes.read import read_scene
     from clsplat.options import resolve
-    from clsplat.partition.options import PartitionOptions
     from clsplat.training.photos import size_note
     options = resolve(config_options(ctx), given_options(ctx))
-    counts, margin = _numbers(photos), PartitionOptions(margin=margin).margin
-    known = MeasuredSteps.read(steps_from) if steps_from else None
-    busy, progress = None if known else load(), Progress()
+    busy, progress = load(), Progress()
     with progress:
         progress.phase("reading the scene")
         data = read_scene(scene, options.images)
@@ -78,17 +57,10 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, margin: float,
     for name, reason in prepared.decisions.reasons.items():
         _line(name, reason)
     with progress:
-        forecast = planned.forecast(known.steps if known else ())
+        forecast = planned.forecast()
     _line("photos", forecast.streaming.reason)
     _line("memory", _memory(forecast, device))
-    _line("time", _time(forecast, busy) + (f"; on {known.device}" if known else ""))
-    if steps_to:
-        (known or MeasuredSteps(device.name, device.handle.global_mem_size, forecast.measured)
-         ).write(steps_to)
-    if counts:
-        from clsplat.cities.forecast import scale_table
-        click.echo("\n" + scale_table(planned, forecast, device, margin, counts,
-                                      photo_size, workers, known).text())
+    _line("time", _time(forecast, busy))
 
 
 def load() -> tuple[float, int] | None:
@@ -101,19 +73,6 @@ def load() -> tuple[float, int] | None:
     except (AttributeError, OSError):  # Windows has none
         return None
     return (average, cores) if average > BUSY_LOAD * cores else None
-
-
-def _numbers(text: str) -> list[int]:
-    if not text:
-        return []
-    try:
-        numbers = [int(part) for part in text.split(",")]
-        if min(numbers) < 1 or max(numbers) > MOST_PHOTOS:
-            raise ValueError
-    except ValueError:
-        raise InputError(f"--photos {text[:80]}: expects whole numbers from 1 to {MOST_PHOTOS:,}, "
-                         "such as 1000,10000,100000") from None
-    return numbers
 
 
 def _line(name: str, text: str) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import check_streaming, device_flag, streaming_flags
+from clsplat.cli.flags import check_streaming, device_flag, lod_flag, streaming_flags
 from clsplat.errors import InputError
 
 
@@ -19,9 +19,7 @@ from clsplat.errors import InputError
 @click.option("--views", type=click.Choice(("all", "test", "train")), default="all",
               show_default=True, help="Which views of the scene to render.")
 @click.option("--beside", is_flag=True, help="Put each render beside its photo.")
-@click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of detail; needs a "
-              "city with a tree (`clsplat merge --tree`), or a run that was trained with "
-              "snapshots = true.")
+@lod_flag
 @streaming_flags
 @device_flag
 @click.pass_context
@@ -35,12 +33,12 @@ def render(ctx: click.Context, /, model: Path, scene: Path | None, output: Path,
 
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run, scene_of_views, to_render
-    from clsplat.evaluation.streamed import has_tree, open_tree, streaming_of
+    from clsplat.evaluation.streamed import open_tree, streaming_of
     from clsplat.evaluation.views import opened, render_view, render_views
     from clsplat.io.models.formats import is_model
     check_streaming(ctx, lod)
     run = Run.open(model) if lod or not is_model(model) else None
-    streaming = run and has_tree(run) and streaming_of(run, lod, lod_bias, host_memory)
+    streaming = run and streaming_of(run, lod, lod_bias, host_memory)
     if run and streaming:
         options = run.options
         data = scene_of_views(run, scene).reduced(options.downscale, options.max_resolution)
@@ -58,13 +56,7 @@ def render(ctx: click.Context, /, model: Path, scene: Path | None, output: Path,
         share = renderer.drawn / (len(chosen) * tree.count)
         click.echo(f"{share:.1%} of {tree.count:,} gaussians drawn, mean of the views; "
                    f"{renderer.cache.read_bytes / 2**20:,.0f} MiB read")
-    elif not (run and lod):
+    else:
         draw = partial(render_view, *opened(choose_device(device), gaussians, data, options))
         render_views(draw, chosen, output, beside)
-    else:
-        from clsplat.cities.lod import Detail
-        detail = Detail(run, data, choose_device(device), lod_bias)
-        render_views(detail.draw, chosen, output, beside)
-        share = detail.drawn / (len(chosen) * gaussians.count)
-        click.echo(f"{share:.1%} of {gaussians.count:,} gaussians drawn, mean of the views")
     click.echo(f"{len(chosen)} pictures: {output}")

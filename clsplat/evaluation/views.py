@@ -205,7 +205,6 @@ def opened(device: Device, gaussians: Gaussians, scene: Scene, options: Renderin
 
 def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path | None = None,
                  metrics: Mapping[str, Metric] = FINAL_METRICS, align: bool = False,
-                 per_view: list[dict[str, Any]] | None = None,
                  gaussians: Gaussians | None = None) -> dict[str, Any]:
     """Compare the finished model of a run with its held-out photos.
 
@@ -217,8 +216,6 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     scene_path : where the scene is now; None: where the run has recorded it.
     metrics : by their names.
     align : whether to compare from aligned poses as well.
-    per_view : the scores of the held-out views by `metrics`, in their order, where they are known;
-        None: they are computed here.
     gaussians : the finished model, in the scene's frame; None: it is read.
 
     Returns
@@ -246,11 +243,8 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     if save_images:
         run.folder.renders.note("test", [view.name for view in views])
     predicted = predicted_responses(scene.views, run.folder.load_exposures())
-    if per_view is None:
-        result = evaluate_views(*model, views, keep if save_images else None, metrics, predicted,
-                                depth_to_align(scene) if align else 0.0)
-    else:
-        result = mean_scores(per_view, score_names(metrics), predicted)
+    result = evaluate_views(*model, views, keep if save_images else None, metrics, predicted,
+                            depth_to_align(scene) if align else 0.0)
     result["pictures"] = pictures_of(*model, views, train, result["per_view"], predicted)
     return result
 

@@ -31,7 +31,7 @@ from clsplat.rendering.slabs import (
 )
 
 # pixels that the mean sigma of a node may cover, by whether the renderer is antialiased (measured:
-# up to there no view loses more than 0.2 dB). Levels that were trained may cover more (city/lod.py)
+# up to there no view loses more than 0.2 dB). Levels that were trained may cover more
 MOST_SIGMA_PIXELS = {False: 1.0, True: 0.14}
 HOST_BYTES = 1 << 30  # of host memory, for the nodes that are kept and for what is drawn
 CACHE_SHARE = 0.5  # of these bytes for the nodes; the rest for what is drawn at a time

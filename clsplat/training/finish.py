@@ -28,7 +28,7 @@ def save_model(run: RunFolder, session: Session) -> None:
 
 
 def save_snapshot(run: RunFolder, session: Session) -> None:
-    """Write the model at the end of a level, which clsplat/cities/lod.py draws at a distance.
+    """Write the model at the end of a level, which 3D Tiles show at a distance.
 
     The header has the level's factor, the steps taken and the scene frequencies, in 1 / world unit.
     """

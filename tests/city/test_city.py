@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from clsplat.cities import block as block_module
-from clsplat.cities import cut, forecast, run, scoring, stages
+from clsplat.cities import cut, forecast, run, stages
 from clsplat.cities.run import chosen_partition
 from clsplat.cities.scene import BlockScene
 from clsplat.cli.main import main
-from clsplat.errors import InputError, OutOfDeviceMemory
+from clsplat.errors import OutOfDeviceMemory
 from clsplat.io.models.ply import read_ply
 from clsplat.io.photos.images import read_image
 from clsplat.io.runs.city import CityFolder
@@ -86,30 +86,6 @@ def test_the_folder_is_a_run_like_any_other(made):
     assert "Growth and loss" not in page and "Held-out views" in page  # no empty charts
     assert json.loads(made.map.read_text())["type"] == "FeatureCollection"
     command("eval", made.path, "--no-images", "--device", DEVICE)
-    levels = RunFolder(made.path).snapshots()
-    assert levels[-1][0] == 2  # the coarse model is the last but the whole
-    coarse = read_ply(made.coarse / "point_cloud.ply")
-    assert np.array_equal(read_ply(levels[-1][1]).positions, coarse.positions)
-
-
-@pytest.mark.parametrize("devices, flags, beside", [
-    (f"{DEVICE},{DEVICE}", ("--joint-steps", "none"), True), (DEVICE, (), False),
-    (DEVICE, ("--joint-steps", "0.5"), True)])
-def test_who_finds_dense_points(tmp_path, monkeypatch, devices, flags, beside):
-    """A worker does beside the coarse run if another device is free, or the city is small."""
-    def asked(*_):
-        given.append(True)
-        return lambda: False
-
-    def stop(*_):
-        raise InputError("enough")
-
-    given = []
-    monkeypatch.setattr(run.Workers, "start", lambda *_: None)
-    monkeypatch.setattr(run, "found_beside", asked)
-    monkeypatch.setattr(run, "train_coarse", stop)
-    city(tmp_path / "city", "--workers", "2", "--device", devices, *flags, code=2)
-    assert bool(given) == beside
 
 
 def a_card(memory, is_cpu=False):
@@ -269,7 +245,7 @@ def test_stages_one_by_one_end_in_the_same(made, tmp_path):
     flags = [flag for flag in FLAGS if flag not in ("--grid", "2x1", "--least-views", "3")]
     flags[flags.index("-n") + 1], flags[flags.index("-r") + 1] = "30", "8"
     command("train", CITY, "--coarse", "-o", tmp_path / "coarse", "-q", *flags,
-            *keys(tmp_path, "snapshots = true"))
+            *keys(tmp_path))
     command("partition", tmp_path, "--grid", "2x1", "--least-views", "3")
     for block in CityFolder(tmp_path).blocks():
         command("block", block.path, "-q")
@@ -351,22 +327,18 @@ def test_a_model_that_cannot_be_written_loses_nothing(copy, capsys):
 
 
 @pytest.mark.slow
-def test_two_workers_end_in_the_same(copy, monkeypatch):
+def test_two_workers_end_in_the_same(copy):
     def scores():
         return [{key: value for key, value in record.items() if "seconds" not in key}
                 for record in RunFolder(copy.path).records()
                 if record["event"] in ("eval", "seams")]
 
-    before, scored, shares = model(copy), scores(), []
+    before, scored = model(copy), scores()
     for block in copy.blocks():
         shutil.rmtree(block.run)
-    joined = scoring.joined
-    monkeypatch.setattr(scoring, "LEAST_PIXELS", 1)
-    monkeypatch.setattr(scoring, "joined", lambda given: shares.extend(given) or joined(given))
     city(copy.path, "--workers", "2")
     assert model(copy) == before
-    assert len(shares) == 2 and len(scored) == 2 and scores() == scored
-    assert not (copy.path / scoring.FOLDER).exists()
+    assert len(scored) == 2 and scores() == scored
 
 
 def test_responses_of_the_coarse_run_reach_the_blocks(tmp_path, monkeypatch):

@@ -10,10 +10,7 @@ from clsplat.cities.dense import (
     counted_where,
     dense_gaussians,
     find_dense_gaussians,
-    found_beside,
 )
-from clsplat.cities.stages import begin
-from clsplat.cities.workers import Workers
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply
@@ -69,37 +66,6 @@ def test_they_were_requested_and_cannot_be_had(folder, scene):
     alone = replace(scene, observations=np.zeros((0, 2), np.int32))
     with pytest.raises(InputError, match="--init dense needs three photos"):
         find_dense_gaussians(folder, alone, resolve({}, {**LONG, "init": "dense"}), None)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("options", [{"init": "dense"}, {"init": "sfm"}], ids=str)
-def test_a_child_does_the_same_beside_other_work(folder, item_device, monkeypatch, options):
-    whole = read_scene(CITY)
-    options = resolve({}, {**LONG, "downscale": 8.0, **options, "form": "item",
-                           "device": item_device.handle.name})
-    begin(folder, whole, options)
-    monkeypatch.delenv("CLSPLAT_DEVICE", raising=False)
-    with Workers(2) as workers:
-        assert found_beside(folder, whole, options, workers)()
-    assert folder.dense.exists() == (options.init == "dense")
-    assert not (folder.path / dense.FOLDER).exists()
-    if folder.dense.exists():
-        by_child = folder.dense.read_bytes()
-        folder.dense.unlink()
-        find_dense_gaussians(folder, whole, options, item_device)
-        assert folder.dense.read_bytes() == by_child
-
-
-@pytest.mark.slow
-def test_what_a_child_cannot_do_is_left(folder, scene):
-    with Workers(2) as workers:  # the folder has no record of a city
-        assert not found_beside(folder, scene, resolve({}, LONG), workers)()
-    assert list(folder.path.iterdir()) == []
-
-
-def test_no_child_is_asked_for_what_is_there(folder, scene):
-    folder.dense.touch()
-    assert not found_beside(folder, scene, resolve({}, LONG), None)()
 
 
 def test_they_count_where_the_nearest_coarse_gaussian_stands():

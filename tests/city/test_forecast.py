@@ -13,24 +13,19 @@ from clsplat.cities.forecast import (
     PIXELS_PER_GAUSSIAN,
     block_table,
     coarse_steps,
-    exchange_notes,
     expected_gaussians,
     facts_of_whole,
     gaussians_that_fit,
     one_block_note,
-    scale_table,
 )
 from clsplat.cities.run import chosen_partition
 from clsplat.cli.main import main
 from clsplat.errors import InputError
-from clsplat.estimate.cost import fitted, predicted_seconds
-from clsplat.estimate.measured import MeasuredSteps
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 from clsplat.scene import View
-from clsplat.schedule.simulate import Segment
 from tests.city.test_city import a_card
 from tests.data.tiny_training import CITY
 
@@ -155,78 +150,3 @@ def test_a_scene_that_fits_in_one_block_needs_no_city():
     assert note(block_gaussians=2 * 10**6) == "", "margins belong to several blocks"
     assert note(block_gaussians=4 * 10**6, least_blocks=2) == "", "two workers"
     assert note(block_gaussians=4 * 10**6, grid=(2, 2)) == ""
-
-
-def test_exchanges_leave_files():
-    blocks = [{"own": 2**20, "exchanges": [100, 200]}, {"own": 2**19, "exchanges": [100, 200]}]
-    (note,) = exchange_notes(blocks, 3.0)
-    assert "2 times" in note and "6,372 MiB" in note  # 708 * 3 * 2 * 1.5
-    assert exchange_notes([{"own": 9}], 3.0) == ()
-
-
-def planned_photos():
-    """(A device of 1 GiB, a plan of 100 photos of 100x50 pixels, the gaussians that fit it)."""
-    device = SimpleNamespace(name="a card", real=np.dtype(np.float32),
-                             handle=SimpleNamespace(global_mem_size=2**30))
-    view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
-    options = resolve({}, {"iterations": 1000})
-    planned = SimpleNamespace(prepared=SimpleNamespace(train_views=[view] * 100,
-                                                       options=options))
-    return device, planned, gaussians_that_fit(device, options)
-
-
-def hours(table):
-    """The hours of all devices, and those until the end, in the first row of a `scale_table`."""
-    return [float(cell) for cell in table.rows[0][7:9]]
-
-
-def test_what_ten_times_the_photos_take():
-    device, planned, limit = planned_photos()
-    forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0)
-    head, *_ = table = scale_table(planned, forecast, device, 0.5, [200, 2000]).rows
-    small, large = (dict(zip(("photos", "blocks", "views", "steps", "gaussians", "model", "pixels",
-                              "hours"), row)) for row in table)
-    assert head[0] == "200" and small["blocks"] == "1" and small["hours"] == "2.00"
-    assert small["steps"] == "2,000" and small["views"] == "200"
-    # twenty times the scene, each part of it in four blocks, which share twice the steps
-    assert large["blocks"] in ("40", "39") and large["hours"] == f"{20 * 2.25:.2f}"
-    assert large["steps"] in ("1,000", "1,026")
-
-
-def test_larger_photos_on_another_device():
-    device, planned, limit = planned_photos()
-    # photos of four times the pixels, on a card with eight times the memory: four times the
-    # gaussians, and four times the time but for a quarter of it
-    known = MeasuredSteps("another", 2**33, [(5000, 100, 0.9), (5000, 200, 0.9), (20000, 100, 2.7)])
-    assert fitted(known.steps) == pytest.approx([0.3, 0.6 / 5000, 0])
-    forecast = SimpleNamespace(gaussians=limit // 2, seconds=1200.0, steps=1000,
-                               measured=known.steps)
-    table = scale_table(planned, forecast, device, 0.5, [200], (200, 100), 1, known)
-    assert table.rows[0][1] == "1"
-    assert int(table.rows[0][4].replace(",", "")) == pytest.approx(4 * limit, abs=4)
-    # two digits of a fit, half a unit of the last one apart on some machines
-    assert hours(table) == pytest.approx([2 * (300 + 4 * 900) / 3600] * 2, abs=0.006)
-    assert "another" in table.notes[0] and "200x100" in table.notes[0]
-    # three devices: twice the work in three blocks, after the coarse run
-    table = scale_table(planned, forecast, device, 0.5, [200], (200, 100), 3, known)
-    one = 2 * (300 + 4 * 900) / 3600
-    assert table.rows[0][1] == "3"
-    assert hours(table) == pytest.approx([2.25 * one, (0.25 + 2 / 3) * one], abs=0.006)
-
-
-def test_steps_of_another_device_come_from_a_file(tmp_path):
-    file, views = tmp_path / "steps.json", [View("a", Camera(
-        100, 50, (80.0, 80.0), (50.0, 25.0), np.eye(3), np.zeros(3)), b"")]
-    steps = [(5000.0, 100.0, 0.9), (5000.0, 200.0, 0.9), (20000.0, 100.0, 2.7)]
-    MeasuredSteps("a card", 2**33, steps).write(file)
-    known = MeasuredSteps.read(file)
-    assert known == MeasuredSteps("a card", 2**33, steps)
-    segments = [Segment(10, 1.0, 100, False)]
-    assert predicted_seconds(known.steps, views, segments) == pytest.approx(9.0)
-    for damaged in ("{", '{"device": 1}', file.read_text().replace("0.9", "-1"),
-                    file.read_text().replace("0.9", '"x"')):
-        file.write_text(damaged)
-        with pytest.raises(InputError, match="not a file of measured steps"):
-            MeasuredSteps.read(file)
-    with pytest.raises(InputError, match="no such file; `clsplat plan --steps-to`"):
-        MeasuredSteps.read(tmp_path / "none.json")

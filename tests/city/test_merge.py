@@ -254,29 +254,14 @@ def test_a_city_of_another_scene_is_refused(city, scene):
         merge(city, scene)
 
 
-def test_levels_of_detail_that_cannot_be_written_are_told_at_the_end(city, scene, monkeypatch):
-    """They are written beside what follows the merge."""
-    def fails(*_):
-        raise InputError("lod: no space left")
-
-    monkeypatch.setattr("clsplat.cities.finish.merge_levels", fails)
-    device, has_model = SimpleNamespace(name="none", form="item"), []
-    with pytest.raises(InputError, match="no space left"), merged_city(
-            city, scene, resolve({}, {}), device):
-        has_model.append(RunFolder(city.path).has_model)
-    assert has_model == [True]
-
-
 def test_the_merged_run_has_the_exposures_of_the_coarse_run(city, scene):
     """By which its held-out views are scored; a coarse run without any leaves none."""
     device = SimpleNamespace(name="none", form="item")
-    with merged_city(city, scene, resolve({}, {}), device):
-        pass
+    merged_city(city, scene, resolve({}, {}), device)
     assert RunFolder(city.path).load_exposures() is None
     known = {scene.views[1].name: Response(1.1 * np.eye(3, 4), np.array([-0.1, 0, 0.2, 1.5]))}
     RunFolder(city.coarse).save_exposures(known)
-    with merged_city(city, scene, resolve({}, {}), device):
-        pass
+    merged_city(city, scene, resolve({}, {}), device)
     (name, found), = RunFolder(city.path).load_exposures().items()
     assert name in known and np.array_equal(found.transform, known[name].transform)
     assert np.array_equal(found.vignetting, known[name].vignetting)

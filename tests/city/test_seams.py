@@ -12,9 +12,7 @@ from clsplat.cities.seams import (
     _scores,
     find_borders,
     find_seams,
-    inspect_views,
 )
-from clsplat.cities.seams import joined as joined_errors
 from clsplat.evaluation.views import render_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import write_image
@@ -127,21 +125,16 @@ def unspoilt(number, gaussians):
 
 
 @functools.cache
-def report(device, scene, model, spoil=unspoilt, shares=0):
+def report(device, scene, model, spoil=unspoilt):
     """Seams of four blocks that err alike, as the reference does, and a little by themselves;
-    spoil: changes a block; shares: of the views that are inspected by themselves."""
+    spoil: changes a block."""
     reference = noisy(model, 9, 0.2)
     space = Space(np.eye(3), scene.offset, np.full(3, 30.0))
     partition = boxes(QUARTERS, space, margin=0.15)
     blocks = [spoil(number, noisy(reference, number, 0.02)) for number in range(4)]
     pieces = [cropped(block, partition, number, scene.offset)
               for number, block in enumerate(blocks)]
-    merged, views = joined(pieces), scene.views
-    inspect = functools.partial(inspect_views, device, partition, scene, views, OPTIONS, merged,
-                                reference)
-    errors = joined_errors([inspect(range(share, len(views), shares)) for share in range(shares)]
-                           ) if shares else inspect()
-    return find_seams(partition, errors, len(views))
+    return find_seams(device, partition, scene, scene.views, OPTIONS, joined(pieces), reference)
 
 
 def by_pair(seams, key):
@@ -157,11 +150,6 @@ def test_blocks_that_agree_have_no_seam(item_device, photographed, model):
         assert record["psnr"] > 30  # without the fit of colours it is below 20
     table = seam_table(seams).text()
     assert "000 | 001" in table and "all" in table
-
-
-def test_shares_of_the_views_make_the_same_report(item_device, photographed, model):
-    assert report(item_device, photographed, model, shares=3) == report(
-        item_device, photographed, model)
 
 
 def test_blocks_that_are_worse_everywhere_have_no_seam(item_device, photographed, model):
@@ -226,8 +214,8 @@ def test_a_border_is_the_mean_of_its_views_by_their_pixels():
     assert _scores(errors[2:])["seam_db"] is None and _scores([])["pixels"] == 0
 
 
-def test_what_cannot_be_said_is_left_open():
-    partition = boxes(QUARTERS)
-    empty = find_seams(partition, [[] for _ in range(5)], 0)
+def test_what_cannot_be_said_is_left_open(item_device, scene, model):
+    partition = boxes(QUARTERS, Space(np.eye(3), scene.offset, np.full(3, 30.0)))
+    empty = find_seams(item_device, partition, scene, [], OPTIONS, model, model)
     assert empty["worst_seam_db"] is None and empty["seam_db"] is None
     assert "-" in seam_table(empty).text()

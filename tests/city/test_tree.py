@@ -3,16 +3,41 @@
 import numpy as np
 import pytest
 
-from clsplat.cities.tree import parted
+from clsplat.camera import Camera
+from clsplat.cities.tree import frequency, parted
 from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.models.tree import HEADER, NO_PARENT, ORDER, Tree, writing_tree
 from clsplat.rendering.tree import NodeCache, NodeParts, choose
-from tests.city.test_lod import LENGTH, at, strip, table
 from tests.data.made_tree import write_tree
+from tests.reference.frequency import scene_frequency
 
 CELL, COUNT = 40, 1000
+LENGTH = 100.0  # of the strip
+
+
+def strip(count, sigma, seed=0, degree=1):
+    """Gaussians, all of one sigma, along x from 0 to LENGTH and about 1 thick."""
+    rng = np.random.default_rng([seed, count])
+    rows = {f.name: rng.normal(size=(count, *f.row_shape(degree))).astype(np.float32)
+            for f in LEARNED}
+    rows["positions"] = rng.uniform((0, 0, 0), (LENGTH, 1, 1), (count, 3)).astype(np.float32)
+    rows["log_scales"] = np.full((count, 3), np.log(sigma), np.float32)
+    return Gaussians(rows, degree)
+
+
+def at(x, focal=100.0):
+    """A camera at x on the strip's axis that looks along it."""
+    rotation = np.array([[0, 1.0, 0], [0, 0, 1], [1, 0, 0]])
+    return Camera(64, 48, (focal, focal), (32.0, 24.0), rotation, -rotation @ [x, 0.5, 0.5])
+
+
+def table(gaussians):
+    """Rows float[N, numbers], in an order that depends on them only."""
+    rows = np.concatenate([gaussians.rows[f.name].reshape(gaussians.count, -1)
+                           for f in LEARNED], axis=1)
+    return rows[np.lexsort(rows.T)]
 
 
 def blocks(model):
@@ -146,3 +171,11 @@ def test_damaged_trees_are_refused(tree, tmp_path):
     with pytest.raises(InputError, match="has no nodes"):
         Tree(path)
     assert tree.nodes["parent"][-1] == NO_PARENT
+
+
+def test_the_frequency_is_the_robust_one():
+    rng = np.random.default_rng(0)
+    scales, logits = rng.normal(-3, 2, (50, 3)), rng.normal(0, 3, 50)
+    expected = scene_frequency(scales, logits)["robust_mean"]
+    assert frequency(scales, logits) == pytest.approx(expected, rel=1e-12)
+    assert frequency(scales[:0], logits[:0]) == 0

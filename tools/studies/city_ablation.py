@@ -17,7 +17,6 @@ there are not trained again. The machine should do nothing else, as their time c
     exchanges         --exchanges 0 without the joint training; exchanges-on: 3 with it
     joint training    the column `joint` (--joint-steps none)
     sharing           --workers 1: nothing changes but the time
-    levels            write_levels: no levels of detail; nothing changes but the time
 """
 
 import argparse
@@ -57,17 +56,11 @@ def unthinned(largest_sizes: Any) -> Callable[..., Any]:
     return lambda *arguments, **named: (largest_sizes(*arguments, **named) > 0).astype(float)
 
 
-def nothing(_: Any) -> Callable[..., None]:
-    """In place of a function that writes files."""
-    return lambda *arguments: None
-
-
 # mechanism -> (module, name, what makes the substitute of the function there)
 PATCHES: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
     "dense": ("clsplat.cities.cut", "filled", without_dense),
     "visits": ("clsplat.cities.cut", "visits_of_blocks", equal_visits),
     "thinning": ("clsplat.partition.blocks", "largest_sizes", unthinned),
-    "levels": ("clsplat.cities.finish", "write_levels", nothing),
 }
 # mechanism -> flags; those that are of use with a joint training alone, or without one alone
 FLAGS = {"none": (), "sharing": ("--workers", "1"),

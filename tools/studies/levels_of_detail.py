@@ -1,13 +1,11 @@
 """The quality and speed of levels of detail for distant cameras: prints a line for each view.
 
-    python -m tools.studies.levels_of_detail RUN [--scene SCENE] [-r R] [--away A] [--bias B]
-        [--tree]
+    python -m tools.studies.levels_of_detail CITY [--scene SCENE] [-r R] [--away A] [--bias B]
 
-Held-out views are drawn at levels of detail and with the full model. -r makes pictures and photos R
-times smaller, with as few pixels a world unit as from R times the distance; both are compared with
-the photos. --away moves each camera back by A times its distance to the scene; both are then
-compared with the full model at SUPERSAMPLING^2 samples a pixel. --tree draws the tree of a city in
-place of the levels of its training.
+Held-out views are drawn from the tree of a city and with the full model. -r makes pictures and
+photos R times smaller, with as few pixels a world unit as from R times the distance; both are
+compared with the photos. --away moves each camera back by A times its distance to the scene; both
+are then compared with the full model at SUPERSAMPLING^2 samples a pixel.
 """
 
 import argparse
@@ -17,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from clsplat.cities.lod import Detail
 from clsplat.device import choose_device
 from clsplat.errors import InputError
 from clsplat.evaluation.metrics import psnr
@@ -39,15 +36,14 @@ def main(argv):
     made.add_argument("--scene", type=Path, help="where the scene is, if it was moved")
     made.add_argument("-r", "--downscale", type=float, default=1.0)
     made.add_argument("--away", type=float, default=0.0)
-    made.add_argument("--bias", type=float, default=1.0, help="see `clsplat.cities.lod.Detail`")
-    made.add_argument("--tree", action="store_true")
+    made.add_argument("--bias", type=float, default=1.0, help="see `render --lod-bias`")
     made.add_argument("--device", default="auto")
     given = made.parse_args(argv)
     print(f"{'view':<20}" + "".join(
         f"{name:>{how.partition('.')[0].rstrip(',')}}" for name, how in COLUMNS.items()))
     records = []
     for record in compare_views(given.run, given.scene, choose_device(given.device), given.bias,
-                                given.away, given.downscale, given.tree):
+                                given.away, given.downscale):
         records.append(record)
         print(line(record), flush=True)
     print(line({"name": "mean", **{key: np.mean([r[key] for r in records]) for key in COLUMNS}}))
@@ -59,7 +55,7 @@ def line(record):
         f"{record[key]:>{how}}" for key, how in COLUMNS.items())
 
 
-def compare_views(path, scene_path, device, bias=1.0, away=0.0, downscale=1.0, tree=False):
+def compare_views(path, scene_path, device, bias=1.0, away=0.0, downscale=1.0):
     """Yield a dict for each held-out view of a run.
 
     Its keys are name; gaussians, the number that is drawn, and share, the same as a share of the
@@ -69,7 +65,7 @@ def compare_views(path, scene_path, device, bias=1.0, away=0.0, downscale=1.0, t
     run = Run.open(path)
     gaussians, scene, options = to_render(path, scene_path)
     scene = scene.reduced(downscale)
-    detail = (TreeDetail if tree else Detail)(run, scene, device, bias)
+    detail = TreeDetail(run, scene, device, bias)
     full = opened(device, gaussians, scene, options)
     for view in scene.split(options.test_every, options.test_offset)[1] or scene.views:
         camera, part = view.camera, np.s_[:, :]
@@ -88,7 +84,7 @@ def compare_views(path, scene_path, device, bias=1.0, away=0.0, downscale=1.0, t
 
 
 class TreeDetail:
-    """Draws the tree of a run as `Detail` draws levels; arguments and attributes as there."""
+    """Draws the tree of a run; `drawn` counts the gaussians of all pictures."""
 
     def __init__(self, run, scene, device, bias=1.0):
         self._renderer, self._tree = open_tree(run, device, scene.near(run.options.near),

@@ -1,20 +1,11 @@
-"""Snapshots of levels, and a run drawn from them: kept through kills, compared as told."""
+"""Snapshots of levels, which 3D Tiles show at a distance: kept through kills."""
 
-import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from clsplat.cities import lod
-from clsplat.cities.lod import Levels
-from clsplat.cli.main import main
-from clsplat.evaluation.run import Run, to_render
-from clsplat.evaluation.views import opened, photo_of, render_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply
-from clsplat.io.photos.images import read_image
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.training.step import Step
@@ -100,52 +91,3 @@ def test_the_folder_knows_its_snapshots(tmp_path):
     run.write_options({})
     RunFolder.create(run.path, overwrite=True).write_options({})
     assert sorted(p.name for p in (run.path / "lod").iterdir()) == ["level_mine.ply", "notes.txt"]
-
-
-def rendered(path, out, device, *words):
-    """(what `clsplat render --lod` prints, the picture of its first view)."""
-    result = CliRunner().invoke(main, ["render", str(path), "--lod", "-o", str(out), "--device",
-                                       device.name, *words])
-    assert result.exit_code == 0, result.output
-    return result.output, read_image(min(out.rglob("*.png")))
-
-
-def test_near_levels_are_the_full_model_and_far_ones_less(item_device, run, tmp_path):
-    said, near = rendered(run.path, tmp_path / "near", item_device, "--lod-bias", "1e-6",
-                          "--views", "test", "--beside")
-    gaussians, scene, options = to_render(run.path, None)
-    view = scene.split(options.test_every)[1][0]
-    full = render_view(*opened(item_device, gaussians, scene, options), view.camera)
-    assert f"100.0% of {gaussians.count:,} gaussians drawn" in said
-    assert abs(near / 255 - np.concatenate([full, photo_of(view)], axis=1)).max() < 0.003
-    said, far = rendered(run.path, tmp_path / "far", item_device, "--lod-bias", "1e6",
-                         "--views", "test")
-    share = read_ply(run.snapshots()[0][1]).count / gaussians.count
-    assert f"{share:.1%} of" in said and share < 1
-    assert abs(far / 255 - full).mean() > 0.003
-
-
-def test_a_choice_that_stays_is_not_taken_again(item_device, scene, run, monkeypatch):
-    detail = lod.Detail(Run(run), scene.reduced(4), item_device)
-    taken, take = [], Levels.select
-    monkeypatch.setattr(Levels, "select", lambda *a: taken.append(1) or take(*a))
-    near = scene.views[0].camera.reduced(4)
-    distance = np.linalg.norm(near.position)  # between this and 31 times as far levels change
-    detail.pixels = near.focal[0] / (5 * distance * detail.levels.frequencies[0])
-    far = replace(near, translation=near.translation + [0, 0, 30 * distance])
-    counts = []
-    for camera in (near, near, far, near):
-        detail.draw(camera)
-        counts.append(detail.chosen.count)
-    assert len(taken) == 3 and counts[0] == counts[1] == counts[3] > counts[2]
-
-
-def test_a_run_without_levels_says_how_to_get_them(run, tmp_path):
-    bare, early = (shutil.copytree(run.path, tmp_path / name) for name in ("bare", "early"))
-    shutil.rmtree(bare / "lod")
-    (early / "point_cloud.ply").unlink()
-    for model, said in ((bare, "bare: has no levels of detail; train it to its end with snap"),
-                        (early, "early/point_cloud.ply: the run has no model yet"),
-                        (bare / "point_cloud.ply", "point_cloud.ply: holds no run")):
-        result = CliRunner().invoke(main, ["render", str(model), "--lod", "-o", str(tmp_path)])
-        assert result.exit_code == 2 and said in result.output
