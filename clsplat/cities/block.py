@@ -1,17 +1,21 @@
-"""Trains one block of a larger scene from its folder, which contains all that it needs."""
+"""The training of a city's blocks: of one from its folder, and of all, as jobs."""
 
-from collections.abc import Callable
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
 from clsplat.cities.exchange import exchange, lacking_blocks, other_blocks, write_owned
 from clsplat.cities.jobs import Job, never
 from clsplat.cities.scene import BlockScene
+from clsplat.cities.workers import Outcome, Workers
 from clsplat.config.option import differences
 from clsplat.device import Device, choose_device
-from clsplat.errors import InputError, Interrupted, StopTraining
+from clsplat.errors import InputError, Interrupted, OutOfDeviceMemory, StopTraining
 from clsplat.io.lock import LockTaken, latest_change
-from clsplat.io.runs.city import BlockFolder
+from clsplat.io.runs.city import DENSE, BlockFolder, CityFolder
 from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.write import DEPTH
 from clsplat.options import EARLIER, TrainOptions, checked_values, resolve
@@ -45,17 +49,17 @@ class BlockJob(Job):
 
     def run(self, device: Device, progress: SilentProgress | None = None,
             stopping: Callable[[], bool] = never) -> str:
-        """Train the block; returns its state, see `train_block`.
+        """Train the block; returns its state, see `BlockTraining.run`.
 
         Another process that trains it is waited for as long as that works: a worker that the
         scheduler has lost may finish the block.
         """
         self.block.check()
+        training = BlockTraining(self.block, device, stopping)
         while True:
             before = latest_change(self.folder)
             try:
-                return train_block(self.block, block_options(self.block), progress, LOCK_SECONDS,
-                                   self.alone, device, self.until, stopping)
+                return training.run(progress, self.until, self.alone, LOCK_SECONDS)
             except LockTaken:
                 if latest_change(self.folder) == before:
                     raise
@@ -72,11 +76,7 @@ def decided_by(coarse: RunFolder) -> dict[str, Any]:
 
 
 def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[str, Any]:
-    """{option: value} of every block, for `CityFolder.write_block`.
-
-    Blocks have training views only, so none is held out. Degrees of spherical harmonics become
-    active one after the other, as in any run, though gaussians of the coarse run have them from the
-    start: with all of them active at once, blocks were not better.
+    """{option: value} of every block, which has training views only, so that none is held out.
 
     Parameters
     ----------
@@ -94,103 +94,216 @@ def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
     return resolve(values, {"init": str(block.initial), **changes})
 
 
-def train_block(block: BlockFolder, options: TrainOptions,
-                progress: SilentProgress | None = None, patience: float = 0.0,
-                alone: bool = False, device: Device | None = None, until: int = 0,
-                stopping: Callable[[], bool] = never) -> str:
-    """Train a block to its end, from the start or from the last checkpoint of its run.
-
-    It stops before, where it exchanges gaussians with blocks that have not come as far.
+class BlockTraining:
+    """Trains a block from its folder, which contains all that it needs.
 
     Parameters
     ----------
     block : its folder.
-    options : those of `block_options`.
-    progress : receives steps, messages and phases.
-    patience : seconds to wait for another process that trains the block.
-    alone : do without the exchanges that are left.
-    device : None: it is opened as `options` say.
-    until, stopping : see `BlockJob`.
-
-    Returns
-    -------
-    "finished", "was finished before", at which exchange it stops, or for which blocks it waits.
-
-    Raises
-    ------
-    InputError : for a run that was begun with other options, or an exchange that there is not.
+    device : None: it is opened as the options say.
+    stopping : see `Job.run`.
+    changes : of the block's options, by name.
     """
-    run, exchanges = RunFolder(block.run), [] if alone else block.exchanges
-    if until > len(exchanges):
-        raise InputError(f"{block.path}: there is no exchange {until}, as the block exchanges "
-                         f"gaussians {len(exchanges)} times; give a smaller number, or none")
-    if run.is_finished:  # checked before locking: the disk may be read-only
-        _check_same(run, options)
-        return BEFORE
-    with run.locked(patience):
-        if run.is_begun:
-            _check_same(run, options)
-        if run.is_finished:
+
+    def __init__(self, block: BlockFolder, device: Device | None = None,
+                 stopping: Callable[[], bool] = never,
+                 changes: Mapping[str, Any] | None = None) -> None:
+        self.block, self.options = block, block_options(block, **(changes or {}))
+        self.folder, self.device, self._stopping = RunFolder(block.run), device, stopping
+        self._progress: SilentProgress = SilentProgress()
+
+    def run(self, progress: SilentProgress | None = None, until: int = 0, alone: bool = False,
+            patience: float = 0.0) -> str:
+        """Train to the end, from the start or from the last checkpoint of the run.
+
+        It stops before, where it exchanges gaussians with blocks that have not come as far.
+
+        Parameters
+        ----------
+        progress : receives steps, messages and phases.
+        until, alone : see `BlockJob`.
+        patience : seconds to wait for another process that trains the block.
+
+        Returns
+        -------
+        "finished", "was finished before", at which exchange it stops, or for which blocks it waits.
+
+        Raises
+        ------
+        InputError : for a run that was begun with other options, or an exchange that there is not.
+        """
+        block, run, exchanges = self.block, self.folder, [] if alone else self.block.exchanges
+        if until > len(exchanges):
+            raise InputError(f"{block.path}: there is no exchange {until}, as the block exchanges "
+                             f"gaussians {len(exchanges)} times; give a smaller number, or none")
+        if run.is_finished:  # checked before locking: the disk may be read-only
+            self._check_same()
             return BEFORE
-        device = device or choose_device(options.device, form=options.form)
-        others = other_blocks(block) if exchanges else []
-        scene = BlockScene.read(block)
-        saved: Saved | None = None  # what the latest exchange has made of the checkpoint
-        for number, step in enumerate(exchanges, 1):
-            if (taken := run.checkpoint_iteration()) <= step:
-                latest = (_go_on(block, scene, options, device, progress, step, saved, stopping)
-                          if taken < step else None)
-                write_owned(block, scene, number, latest)
-                del latest  # it takes as much memory as the exchange that follows
-            if number == until:
-                return f"stops at exchange {number} of {len(exchanges)}, after step {step}"
-            if taken > step:
-                continue
-            if lacking := lacking_blocks(others, number):
-                return (f"waits at exchange {number} of {len(exchanges)}, after step {step}: train "
-                        f"{', '.join(lacking[:MOST_NAMED])}{' ...' * (len(lacking) > MOST_NAMED)} "
-                        "too, then this block again")
-            saved = exchange(block, scene, others, options, number, run)
-        _go_on(block, scene, options, device, progress, 0, saved, stopping)
-    return "finished"
+        with run.locked(patience):
+            if run.is_begun:
+                self._check_same()
+            if run.is_finished:
+                return BEFORE
+            self._progress = NotedProgress(run.path, progress or SilentProgress())
+            self.device = self.device or choose_device(self.options.device, form=self.options.form)
+            others = other_blocks(block) if exchanges else []
+            scene = BlockScene.read(block)
+            saved: Saved | None = None  # what the latest exchange has made of the checkpoint
+            for number, step in enumerate(exchanges, 1):
+                if (taken := run.checkpoint_iteration()) <= step:
+                    latest = self._go_on(scene, step, saved) if taken < step else None
+                    write_owned(block, scene, number, latest)
+                    del latest  # it takes as much memory as the exchange that follows
+                place = f"exchange {number} of {len(exchanges)}, after step {step}"
+                if number == until:
+                    return f"stops at {place}"
+                if taken > step:
+                    continue
+                if lacking := lacking_blocks(others, number):
+                    return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}"
+                            f"{' ...' * (len(lacking) > MOST_NAMED)} too, then this block again")
+                saved = exchange(block, scene, others, self.options, number, run)
+            self._go_on(scene, 0, saved)
+        return "finished"
+
+    def _go_on(self, scene: BlockScene, until: int, saved: Saved | None) -> Saved | None:
+        """Train until a step, or to the end if that is 0, from what is saved, or else from the
+        run's checkpoint or the start. Returns the checkpoint at that step, None at the end."""
+        run, latest, options = self.folder, list[Saved](), self.options
+        stop_at = min(filter(None, (until, options.stop_at)), default=0)
+        changed, parts = replace(options, stop_at=stop_at), scene.parts(options.exposure == "on")
+        assert self.device is not None
+
+        def keep(written: Saved) -> None:
+            if written[1]["iteration"] == until:
+                latest.append(written)
+
+        def stop(_: dict[str, Any]) -> None:
+            if self._stopping():
+                raise StopTraining
+
+        try:
+            if run.is_begun:
+                resume(scene.scene, changed, self.device, run, self._progress, (stop,),
+                       on_save=keep, saved=saved, parts=parts)
+            else:
+                train(scene.scene, changed, self.device, RunFolder.create(run.path),
+                      self._progress, (stop,), on_save=keep, parts=parts)
+        except Interrupted as stopped:
+            if (not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at
+                    or self._stopping()):
+                raise
+        return latest[-1] if latest else None
+
+    def _check_same(self) -> None:
+        run = self.folder
+        for name, recorded, present in differences(run.read_options(), self.options):
+            if name != MAY_DIFFER:
+                raise InputError(f"{run.path}: was begun with {name} {recorded}, and block.json "
+                                 f"has {present}; put that back, or remove the run")
 
 
-def _go_on(block: BlockFolder, scene: BlockScene, options: TrainOptions, device: Device,
-           progress: SilentProgress | None, until: int, saved: Saved | None,
-           stopping: Callable[[], bool]) -> Saved | None:
-    """Train until a step, or to the end if that is 0, from what is saved, or else from the run's
-    checkpoint or the start; other arguments as for `train_block`. Returns the checkpoint at that
-    step, None at the end."""
-    run, latest = RunFolder(block.run), list[Saved]()
-    noted = NotedProgress(run.path, progress or SilentProgress())
-    parts = scene.parts(options)
-    stop_at = min(filter(None, (until, options.stop_at)), default=0)
-    changed = replace(options, stop_at=stop_at)
+def train_blocks(city: CityFolder, workers: Workers, device: Device,
+                 progress: Callable[[str], AbstractContextManager[SilentProgress | None]]
+                 = lambda title: nullcontext(),
+                 ended: Callable[[str, Outcome], object] = lambda title, outcome: None,
+                 began: Callable[[str, str], object] = lambda title, name: None,
+                 fill: bool = False) -> list[Outcome]:
+    """Train the blocks that are not finished, the longest first; return the outcome of every block.
 
-    def keep(written: Saved) -> None:
-        if written[1]["iteration"] == until:
-            latest.append(written)
+    Where blocks exchange gaussians, a block goes on as soon as those with which it does so have
+    come as far. If one fails, they wait there, or go on alone.
 
-    def stop(_: dict[str, Any]) -> None:
-        if stopping():
-            raise StopTraining
+    Parameters
+    ----------
+    workers : which train them.
+    device : for trainings in this process.
+    progress : called with a title such as "block 2 of 9", for a training in this process; returns
+        the progress of that training.
+    ended : called with such a title and each outcome.
+    began : called with such a title and the name of a block that begins.
+    fill : whether blocks go on alone when another has failed.
+    """
+    blocks = {block.path.name: block
+              for block in sorted(city.blocks(), key=_expected_work, reverse=True)}
+    places = {name: f"block {place} of {len(blocks)}" for place, name in enumerate(blocks, 1)}
 
-    try:
-        if run.is_begun:
-            resume(scene.scene, changed, device, run, noted, (stop,), on_save=keep, saved=saved,
-                   parts=parts)
-        else:
-            train(scene.scene, changed, device, RunFolder.create(run.path), noted, (stop,),
-                  on_save=keep, parts=parts)
-    except Interrupted as stopped:
-        if (not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at
-                or stopping()):
-            raise
-    return latest[-1] if latest else None
+    def title(job: BlockJob) -> str:
+        return job.name.replace(job.block.path.name, places[job.block.path.name], 1)
+
+    def here(job: BlockJob) -> str:
+        with progress(title(job)) as shown:
+            return job.run(device, shown)
+
+    def trained(jobs: Iterable[BlockJob]) -> dict[str, Outcome]:
+        device_name = workers.devices[0] if len(workers.devices) == 1 else ""
+        jobs = [replace(job, device=device_name or job.device) for job in jobs]
+        return _by_block(workers.run(
+            jobs, here, lambda job: began(title(job), job.block.path.name),
+            lambda outcome: ended(title(outcome.job), outcome)))
+
+    outcomes = trained(jobs_of(city, list(blocks.values())))
+    if fill and any(not outcome.ok for outcome in outcomes.values()):
+        outcomes |= trained(job_of(block, alone=True) for name, block in blocks.items()
+                            if outcomes[name].ok)
+    return list(outcomes.values())
 
 
-def _check_same(run: RunFolder, options: TrainOptions) -> None:
-    for name, recorded, present in differences(run.read_options(), options):
-        if name != MAY_DIFFER:
-            raise InputError(f"{run.path}: was begun with {name} {recorded}, and block.json has "
-                             f"{present}; put that back, or remove the run")
+def jobs_of(city: CityFolder, blocks: Sequence[BlockFolder]) -> Iterator[BlockJob]:
+    """The trainings of blocks to their first exchange, those to the next one, and to the end.
+
+    A block that was finished without exchanges has no jobs for them.
+    """
+    stages = 1 + max((len(block.exchanges) for block in blocks), default=0)
+    for stage in range(1, stages + 1):
+        for block in blocks:
+            if stage == stages or block.exchanged(stage).exists() or not RunFolder(
+                    block.run).is_finished:
+                needed = [block, *map(city.block, block.others)] if stage > 1 else []
+                yield job_of(block, stage if stage < stages else 0, stages, tuple(
+                    _name(other, stage - 1, stages) for other in needed))
+
+
+def job_of(block: BlockFolder, until: int = 0, stages: int = 1, after: tuple[str, ...] = (),
+           alone: bool = False) -> BlockJob:
+    """The training of a block, one of `stages`; see `BlockJob`."""
+    block = BlockFolder(block.path.resolve())
+    options = block.read()["options"]
+    return BlockJob(_name(block, until or stages, stages), block.run,
+                    str(options.get("device", "auto")), str(options.get("form", "auto")), after,
+                    block.exchanged(until) if until else RunFolder(block.run).model_path,
+                    block, until, alone)
+
+
+def _name(block: BlockFolder, stage: int, stages: int) -> str:
+    return block.path.name + (f", stage {stage} of {stages}" if stages > 1 else "")
+
+
+def _by_block(outcomes: Iterable[Outcome]) -> dict[str, Outcome]:
+    """{name of a block: the outcome that failed, or else that of its last job that was tried}."""
+    found: dict[str, Outcome] = {}
+    for outcome in outcomes:
+        name = outcome.job.block.path.name
+        before = found.get(name)
+        if before is None or before.ok and (outcome.ok or outcome.tries):
+            found[name] = outcome
+    return found
+
+
+def reason_of(outcome: Outcome) -> str:
+    """Why a block failed, in one line with the cure."""
+    if isinstance(outcome.error, OutOfDeviceMemory):
+        return (f"{outcome.error}; or begin a new city with smaller blocks, by a finer --grid or "
+                "fewer --block-gaussians")
+    return str(outcome.error)
+
+
+def _expected_work(block: BlockFolder) -> int:
+    """Steps of a block times the gaussians that it begins to train: its time, in some unit.
+
+    Several workers end at about the same time if they begin with the longest jobs (Graham 1969).
+    """
+    record = block.read("own", "margin")
+    steps = record["options"].get("iterations")  # checked when the block is trained
+    gaussians: int = record["own"] + record["margin"] + record.get(DENSE, 0)
+    return gaussians * (steps if type(steps) is int else 1)

@@ -2,27 +2,26 @@
 
 import dataclasses
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.cities.block import decided_by, options_of_blocks
-from clsplat.cities.dense import counted_where, dense_gaussians
+from clsplat.cities.city import City, counted_where
 from clsplat.cities.exchange import exchange_steps, most_exchanges
-from clsplat.cities.visibility import DropTest
 from clsplat.config.option import differences, plain
-from clsplat.device import Device
+from clsplat.device import Array, Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.atomic import replacing
-from clsplat.io.photos.depth import with_depths
-from clsplat.io.photos.undistort import undistorted
+from clsplat.io.models.values import to_bytes
 from clsplat.io.runs.city import DENSE, EXCHANGES, OTHERS, PARTITION, CityFolder
-from clsplat.options import RunOptions, TrainOptions
+from clsplat.loss.image_loss import image_loss, loss_value
 from clsplat.partition.blocks import block_start, filled
 from clsplat.partition.input import world_of
 from clsplat.partition.make import make_partition
@@ -30,20 +29,21 @@ from clsplat.partition.options import BLOCK_STEPS, PartitionOptions
 from clsplat.partition.outline import geojson
 from clsplat.partition.partition import Partition
 from clsplat.partition.windows import find_windows, owned_shares
+from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.project import Rows
 from clsplat.report.map import write_map
 from clsplat.scene import Scene
-from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
-from clsplat.training.photos import THREADS
-from clsplat.training.start.prepare import scene_facts, smallest_size
+from clsplat.schedule import SceneFacts, schedule_of
+from clsplat.training.start.prepare import smallest_size
 
 REQUESTED = "asked"  # key of partition.json for the PartitionOptions
 JOINT = "joint"  # key of partition.json for the options of the joint training, where there is one
 LEAST_VISITS = 0.01  # of a view that was assigned to a block
+INVISIBLE = -1e4  # the logit of an opacity that is not drawn
 BLOCKS_TOGETHER = 4  # that are written at the same time, so that few are in memory
 
 
-def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
-                    partition_options: PartitionOptions | None, device: Device
+def cut_into_blocks(city: City, partition_options: PartitionOptions | None = None
                     ) -> tuple[Partition, NDArray[np.integer]]:
     """Make the partition of a city whose coarse run is finished, and the folders of its blocks.
 
@@ -51,49 +51,52 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
 
     Parameters
     ----------
-    options : of the whole.
     partition_options : an existing partition must have been made with these, unless this is None.
 
     Returns
     -------
     The partition, and the coarse gaussians that each block owns, [B].
     """
-    # blocks are pinhole scenes
-    scene = undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
-    coarse = Run.open(city.coarse)
+    folder, options, scene = city.folder, city.options, city.pinhole  # blocks are pinhole scenes
+    coarse = Run.open(folder.coarse)
     small, gaussians = coarse.options, coarse.finished_model
-    dense = dense_gaussians(city, scene, gaussians.sh_degree)
+    dense = city.dense_gaussians(gaussians.sh_degree)
     decided = decided_by(coarse.folder)
     training = {view.name for view in scene.split(options.test_every, options.test_offset)[0]}
     views = np.flatnonzero([view.name in training for view in scene.views])
-    facts = scene_facts(scene, [scene.views[index] for index in views])
-    one_run, _, _ = worthwhile_steps(options, facts, len(views))
-    if city.has_partition:
-        partition = city.partition(scene)
+    one_run, facts = city.one_run(scene, [scene.views[index] for index in views])
+    if folder.has_partition:
+        partition = folder.partition(scene)
         if partition_options:
-            _check_same(city, partition_options)
+            _check_same(folder, partition_options)
     else:
         assert partition_options is not None
         partition_options, drop = partition_options.decided(), None
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
-            drop = DropTest(device, gaussians,
+            drop = DropTest(city.device, gaussians,
                             scene.reduced(small.downscale, small.max_resolution))
         # citygs was no better for it, and vastgs counts cameras
         weights = (counted_where(gaussians, dense) if partition_options.method == "blockgs"
                    else None)
         partition = make_partition(scene, partition_options, gaussians, views, drop, weights)
-        steps_together = partition_options.joint_steps * one_run
-        city.write_partition({
-            **partition.record(), REQUESTED: plain(partition_options),
-            **({JOINT: options_of_joint(options, steps_together, scene, views, facts, decided)}
-               if steps_together else {})})
+        record = {**partition.record(), REQUESTED: plain(partition_options)}
+        if steps_together := partition_options.joint_steps * one_run:
+            # the levels and growth of one run that begins at dense points, with fewer steps
+            given = block_steps(city, steps_together,
+                                smallest_size([scene.views[index] for index in views]), facts)
+            record[JOINT] = {**options_of_blocks(given, decided), "depth": options.depth,
+                             "levels": options.levels, "level_reset": options.level_reset}
+        folder.write_partition(record)
     owner = partition.owner(world_of(scene, gaussians.positions))
     counts = np.bincount(owner, minlength=len(partition.regions))
     exposures = coarse.folder.load_exposures()
-    visits = visits_of_blocks(partition, scene, gaussians, owner, requested_of(city).get(
-        "block_steps", BLOCK_STEPS))
+    requested = requested_of(folder)
+    visits = visits_of_blocks(partition, scene, gaussians, owner,
+                              requested.get("block_steps", BLOCK_STEPS))
     steps = [one_run / len(views) * each.sum() for each in visits]
-    exchanges = planned_exchanges(city, options, steps)
+    # with a time budget it is not known before when which step is taken
+    exchanges = 0 if options.time_budget or len(steps) < 2 else min(
+        requested.get("exchanges") or 0, *(most_exchanges(round(number)) for number in steps))
 
     def write(number: int) -> None:
         region, chosen = partition.regions[number], partition.views[number]
@@ -104,13 +107,13 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
         part = block_start(gaussians, scene, region, own.views)
         if dense:
             part = filled(part, dense, scene, region, options.max_gaussians)
-        given = block_steps(options, steps[number], smallest_size(own.views), facts)
+        given = block_steps(city, steps[number], smallest_size(own.views), facts)
         if not any(view.depth for view in own.views):
             given["depth"] = ""
-        city.write_block(
+        folder.write_block(
             number, scene, chosen, region, windows, part.gaussians, exposures,
             options_of_blocks(given, decided),
-            {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
+            {**folder.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
              "surroundings": part.surroundings,
              **({DENSE: part.dense} if dense else {}),
              OTHERS: sorted(set(owner[part.indices].tolist()) - {-1, number}),
@@ -146,22 +149,7 @@ def visits_of_blocks(partition: Partition, scene: Scene, gaussians: Gaussians,
     return found
 
 
-def planned_exchanges(city: CityFolder, options: RunOptions, steps: Sequence[float]) -> int:
-    """How often the blocks of a city exchange gaussians.
-
-    Not at all with a time budget, as it is not known before when which step is taken.
-
-    Parameters
-    ----------
-    steps : of the blocks.
-    """
-    requested = requested_of(city).get("exchanges") or 0
-    if options.time_budget or len(steps) < 2:
-        return 0
-    return min(requested, *(most_exchanges(round(number)) for number in steps))
-
-
-def block_steps(options: TrainOptions, steps: float, size: tuple[int, int], facts: SceneFacts
+def block_steps(city: City, steps: float, size: tuple[int, int], facts: SceneFacts
                 ) -> dict[str, Any]:
     """The options, by name, of a block that takes this number of steps.
 
@@ -170,42 +158,16 @@ def block_steps(options: TrainOptions, steps: float, size: tuple[int, int], fact
     size : (width, height) of its smallest training image, pixels.
     facts : about the scene of the whole.
     """
-    schedule = schedule_of(options.schedule)
-    shrunk = dataclasses.replace(options, iterations=max(1, round(steps)), eval_at=(),
+    schedule = schedule_of(city.options.schedule)
+    shrunk = dataclasses.replace(city.options, iterations=max(1, round(steps)), eval_at=(),
                                  eval_every=0, lpips="", snapshots=False)
     shrunk = dataclasses.replace(shrunk, **schedule.options_of_block(shrunk, size, facts))
     return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
             if field.name not in ("init", "coarse")}
 
 
-def options_of_joint(options: TrainOptions, steps: float, scene: Scene,
-                     views: NDArray[np.integer], facts: SceneFacts, decided: dict[str, Any]
-                     ) -> dict[str, Any]:
-    """{option: value} of the joint training, for partition.json.
-
-    It has the levels and growth of one run that begins at dense points, with fewer steps.
-
-    Parameters
-    ----------
-    options, scene : the whole.
-    steps : how many it takes.
-    views : indices of the training views, [V].
-    facts : about the scene.
-    decided : those of `decided_by`.
-    """
-    given = block_steps(options, steps, smallest_size([scene.views[index] for index in views]),
-                        facts)
-    return {**options_of_blocks(given, decided), "depth": options.depth,
-            "levels": options.levels, "level_reset": options.level_reset}
-
-
 def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[np.integer]) -> None:
-    """Write the partition as a map and as GeoJSON.
-
-    Parameters
-    ----------
-    counts : [B], gaussians that each block owns.
-    """
+    """Write the partition as a map and as GeoJSON; `counts` [B]: gaussians that each block owns."""
     with replacing(city.picture) as file:
         write_map(file, partition, scene, counts)
     with replacing(city.map) as file:
@@ -214,12 +176,7 @@ def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[n
 
 
 def requested_of(city: CityFolder) -> dict[str, Any]:
-    """The PartitionOptions, by name, with which a city was cut, without those of later versions.
-
-    Raises
-    ------
-    InputError : the record is damaged.
-    """
+    """The PartitionOptions, by name, with which a city was cut, without those of later versions."""
     recorded = city.read_partition().get(REQUESTED) or {}
     if not isinstance(recorded, dict):
         raise InputError(f"{city.path / PARTITION}: damaged ({REQUESTED} is "
@@ -233,3 +190,52 @@ def _check_same(city: CityFolder, options: PartitionOptions) -> None:
     for name, old, new in differences({**plain(options), **requested_of(city)}, options):
         raise InputError(f"{city.path}: was cut with {name.replace('_', '-')} {old}, not {new}; "
                          "remove its partition.json and blocks/, or choose another --output")
+
+
+class DropTest:
+    """1 - SSIM between renders of a view with all gaussians and with some; see `partition.citygs`.
+
+    It is that of the training loss. The device compares both renders with the full one in 8 bits,
+    so what these lack is the same in both, and the difference of the two values is taken.
+
+    Parameters
+    ----------
+    gaussians : in the frame of the scene.
+    scene : at the size of the renders.
+    """
+
+    def __init__(self, device: Device, gaussians: Gaussians, scene: Scene) -> None:
+        self.device, self.scene, self.logits = device, scene, gaussians.opacity_logits
+        self.degree = gaussians.sh_degree
+        self.renderer = Renderer(device, self.degree, scene.near_plane)
+        self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
+
+    def __call__(self, tests: Iterable[tuple[int, NDArray[np.bool_]]]) -> Iterator[float]:
+        """The change of each view without the gaussians where `keep` [N] is false.
+
+        Parameters
+        ----------
+        tests : (the index of a view, keep), all of a view in turn, as it is rendered once in full.
+        """
+        latest, whole, itself = -1, None, 0.0
+        for index, keep in tests:
+            if latest != index:
+                image = self._render(index, self.rows)
+                whole = self.device.upload(to_bytes(255 * image.download()))
+                latest, itself = index, _ssim(image, whole)
+            logits = np.where(keep, self.logits, INVISIBLE).astype(self.logits.dtype)
+            without = {**self.rows, "opacity_logits": self.device.upload(logits)}
+            assert whole is not None
+            yield itself - _ssim(self._render(index, without), whole)
+
+    def _render(self, index: int, rows: Rows) -> Array:
+        """real[3, H, W]: the image of a view."""
+        camera = self.scene.views[index].camera
+        return self.renderer.render(rows, self.renderer.pack(camera), camera.width, camera.height,
+                                    self.degree).image
+
+
+def _ssim(image: Array, photo: Array) -> float:
+    """The mean SSIM of an image and a photo on the device."""
+    partials, _ = image_loss(image.device, image, photo, 1.0)
+    return loss_value(partials, math.prod(image.shape), 1.0)[2]

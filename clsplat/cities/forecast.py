@@ -95,7 +95,7 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
     largest = records[initial.index(max(initial))][0]
     known = coarse_steps(city, device)
     block, options = BlockScene.read(largest), block_options(largest)
-    planned = Planned(block.scene, options, device, parts=block.parts(options))
+    planned = Planned(block.scene, options, device, parts=block.parts(options.exposure == "on"))
     forecast = planned.forecast(known)
     if known and forecast.seconds / forecast.steps * sum(steps) > TRIAL_WORTH:
         known, forecast = [], planned.forecast()

@@ -15,43 +15,34 @@ from typing import Any
 
 import numpy as np
 
+from clsplat.cities.city import City
 from clsplat.cities.cut import JOINT
-from clsplat.cities.dense import dense_gaussians
 from clsplat.cities.merge import Merged
-from clsplat.cities.parts import Stage
-from clsplat.device import Device
+from clsplat.cities.scene import Stage
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import start_of, write_ply
 from clsplat.io.models.values import colours_of, to_bytes
-from clsplat.io.photos.depth import with_depths
-from clsplat.io.photos.undistort import undistorted
 from clsplat.io.records import digest_of
-from clsplat.io.runs.city import PARTITION, CityFolder
+from clsplat.io.runs.city import PARTITION
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.partition.input import world_of
-from clsplat.partition.partition import Partition
-from clsplat.scene import Scene
 from clsplat.training.loop import resume, train
 from clsplat.training.part import Part
 from clsplat.training.parts.exposures import PhotoResponses
-from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
 
 
-def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged: Merged,
-                  device: Device, progress: SilentProgress | None = None) -> Merged:
+def train_jointly(city: City, merged: Merged, progress: SilentProgress | None = None) -> Merged:
     """Train a city as a whole in CITY/joint, or continue that; return the result.
 
     That of another merged model, or of another partition without one, is removed.
 
     Parameters
     ----------
-    city : its folder, cut into blocks.
-    scene, options : the whole.
+    city : cut into blocks.
     merged : its blocks.
-    device : an open device.
     progress : receives steps, messages and phases.
 
     Returns
@@ -64,33 +55,27 @@ def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged:
     Interrupted : it was stopped; the state is saved.
     DeviceError : the device cannot hold the whole model.
     """
-    given = city.read_partition().get(JOINT)
-    run = RunFolder(city.joint)
+    folder, scene = city.folder, city.scene
+    given, run = folder.read_partition().get(JOINT), RunFolder(folder.joint)
     if not given:
         shutil.rmtree(run.path, ignore_errors=True)
         return merged
-    begin_with(city, scene, merged.gaussians, options.seed)
+    begin_with(city, merged.gaussians)
     if not run.has_model:
-        whole = dataclasses.replace(
-            undistorted(with_depths(scene, options.depth), city.undistorted, THREADS), notes=())
-        together = joint_options(city, given, options, merged.count)
+        together = joint_options(city, given, merged.count)
         parts: list[Part] = [Stage()]
         if together.exposure == "on":
-            parts.append(PhotoResponses(RunFolder(city.coarse).load_exposures()))
+            parts.append(PhotoResponses(RunFolder(folder.coarse).load_exposures()))
         with run.locked():
             start = resume if run.is_begun else train
-            start(whole, together, device, run if run.is_begun else RunFolder.create(city.joint),
-                  progress, parts=parts)
-    if (began := start_of(run.model_path)) and began != digest_of(city.joint_start):
+            start(dataclasses.replace(city.pinhole, notes=()), together, city.device,
+                  run if run.is_begun else RunFolder.create(folder.joint), progress, parts=parts)
+    if (began := start_of(run.model_path)) and began != digest_of(folder.joint_start):
         raise InputError(f"{run.path}: is the joint training of another city or partition, as it "
-                         f"did not begin at {city.joint_start}; remove it, and give the same "
+                         f"did not begin at {folder.joint_start}; remove it, and give the same "
                          "command again")
-    return by_block(merged, run.load_model(scene.offset), city.partition(scene), scene)
-
-
-def by_block(merged: Merged, gaussians: Gaussians, partition: Partition, scene: Scene) -> Merged:
-    """Blocks with the gaussians of the whole that lie in their cells, block after block."""
-    owner = partition.owner(world_of(scene, gaussians.positions))
+    gaussians = run.load_model(scene.offset)
+    owner = folder.partition(scene).owner(world_of(scene, gaussians.positions))
     order = np.argsort(owner, kind="stable")
     counts = np.bincount(owner, minlength=len(merged.shares))
     return dataclasses.replace(
@@ -100,46 +85,41 @@ def by_block(merged: Merged, gaussians: Gaussians, partition: Partition, scene: 
                      for share in merged.shares))
 
 
-def begin_with(city: CityFolder, scene: Scene, merged: Gaussians, seed: int = 0) -> None:
+def begin_with(city: City, merged: Gaussians) -> None:
     """Write the points at which the joint training begins; remove that of other ones.
 
     They are half of the points of the merged gaussians and half of the dense points of the city,
-    drawn at random; where the city has no dense points, all of the former.
-
-    Parameters
-    ----------
-    merged : in the frame of the scene.
-    seed : of the training.
+    drawn at random; all of the former in a city without dense points.
     """
-    dense, rng = dense_gaussians(city, scene, 0), np.random.default_rng([seed, 0])
+    folder, dense = city.folder, city.dense_gaussians(0)
+    rng = np.random.default_rng([city.options.seed, 0])
     parts = [merged, dense] if dense else [merged]
     chosen = [rng.random(part.count) < 1 / len(parts) for part in parts]
     positions, constant = (np.concatenate([part.rows[name][which]
                                            for part, which in zip(parts, chosen)])
                            for name in ("positions", "sh_constant"))
-    new = city.joint_start.with_suffix(".new.ply")
+    new = folder.joint_start.with_suffix(".new.ply")
     write_ply(new, Gaussians.from_points(positions, to_bytes(255 * colours_of(constant)),
-                                         sh_degree=0), scene.offset)
-    if not (city.joint_start.is_file() and filecmp.cmp(new, city.joint_start, shallow=False)):
-        shutil.rmtree(city.joint, ignore_errors=True)
-    os.replace(new, city.joint_start)
+                                         sh_degree=0), city.scene.offset)
+    if not (folder.joint_start.is_file() and filecmp.cmp(new, folder.joint_start, shallow=False)):
+        shutil.rmtree(folder.joint, ignore_errors=True)
+    os.replace(new, folder.joint_start)
 
 
-def joint_options(city: CityFolder, given: Any, options: TrainOptions, count: int) -> TrainOptions:
+def joint_options(city: City, given: Any, count: int) -> TrainOptions:
     """The options of the joint training. A limit of gaussians is one of each block, so the merged
     model may have more; it does not grow then. The same views are held out as of one run.
 
     Parameters
     ----------
     given : {option: value}, from partition.json.
-    options : of the whole.
     count : gaussians with which it begins.
     """
-    path = city.path / PARTITION
+    path = city.folder.path / PARTITION
     if not isinstance(given, dict):
         raise InputError(f"{path}: damaged ({JOINT} is {str(given)[:20]!r}); remove it, and make "
-                         f"it with `clsplat partition {city.path}`")
-    joint = resolve(checked_values(str(path), given), {"init": str(city.joint_start)})
+                         f"it with `clsplat partition {city.folder.path}`")
+    joint = resolve(checked_values(str(path), given), {"init": str(city.folder.joint_start)})
     most = joint.max_gaussians and max(joint.max_gaussians, count)
-    return dataclasses.replace(joint, max_gaussians=most, test_every=options.test_every,
-                               test_offset=options.test_offset)
+    return dataclasses.replace(joint, max_gaussians=most, test_every=city.options.test_every,
+                               test_offset=city.options.test_offset)

@@ -6,16 +6,15 @@
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from clsplat.cities.blocks import reason_of, train_blocks
+from clsplat.cities.block import reason_of, train_blocks
+from clsplat.cities.city import City, find_dense_gaussians, train_coarse
 from clsplat.cities.cluster import connected
 from clsplat.cities.cut import cut_into_blocks, draw, requested_of
-from clsplat.cities.dense import find_dense_gaussians
 from clsplat.cities.finish import evaluate_city, merge_city_tree, merged_city, reference_file
 from clsplat.cities.forecast import (
     block_table,
@@ -26,10 +25,9 @@ from clsplat.cities.forecast import (
     trains_jointly,
 )
 from clsplat.cities.merge import Merged
-from clsplat.cities.stages import begin, begin_from_coarse, train_coarse
 from clsplat.cities.workers import Outcome, Workers
 from clsplat.config.option import is_auto
-from clsplat.device import Device, choose_device
+from clsplat.device import choose_device
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
@@ -119,33 +117,35 @@ def city(scene: Scene, options: TrainOptions, output: Path, *,
     if workers is None and scheduler:
         workers = 1
     Workers(workers or 1)  # refuses a wrong number before the device is opened
-    device = choose_device(devices[0] if devices else options.device, form=options.form)
-    cutting = chosen_partition(partition or {}, scene, options, device, folder, workers,
+    whole = City(folder, scene, options, choose_device(
+        devices[0] if devices else options.device, form=options.form))
+    cutting = chosen_partition(partition or {}, whole, workers,
                                workers if scheduler and workers else max(1, len(devices)), tree)
     if scheduler and not RunFolder(folder.coarse).has_model:
         connected(scheduler).close()
     if not folder.has_record:
         folder.check_free()
     with RunFolder(folder.path).locked(), Workers(cutting.workers, scheduler, devices) as all_:
-        begin(folder, scene, options)
+        whole.begin()
         for note in (size_note(scene.views, options), one_block_note(cutting, scene.path)):
             if note:
                 shown.line(note)
-        with stopped_at(folder):
-            _train(folder, scene, options, device, cutting, all_, fill, shown)
-        return merge_city(folder, scene, options, device, fill, reference, tree, shown=shown)
+        with _stopped_at(folder):
+            _train(whole, cutting, all_, fill, shown)
+        return merge_city(whole, fill, reference, tree, shown=shown)
 
 
-def _train(folder: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-           cutting: PartitionOptions, workers: Workers, fill: bool, shown: Shown) -> None:
+def _train(city: City, cutting: PartitionOptions, workers: Workers, fill: bool, shown: Shown
+           ) -> None:
     """The coarse run, the partition and the blocks; arguments as for `city`."""
     with shown.stage("coarse run") as progress:
-        train_coarse(folder, scene, options, device, progress, cutting.joint_steps > 0)
+        train_coarse(city, progress, cutting.joint_steps > 0)
     with shown.stage("start of blocks") as progress:
-        find_dense_gaussians(folder, scene, options, device, progress)
-    partition, counts = cut_into_blocks(folder, scene, options, cutting, device)
+        find_dense_gaussians(city, progress)
+    folder = city.folder
+    partition, counts = cut_into_blocks(city, cutting)
     # trial steps would keep the other devices waiting
-    shown.line(block_table(folder, None if workers.several else device, counts).text())
+    shown.line(block_table(folder, None if workers.several else city.device, counts).text())
 
     def began(title: str, name: str) -> None:
         if workers.several:
@@ -155,10 +155,8 @@ def _train(folder: CityFolder, scene: Scene, options: TrainOptions, device: Devi
         shown.line(f"{title} (blocks/{outcome.job.block.path.name}): "
                    f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
 
-    with ThreadPoolExecutor(1) as beside:
-        drawn = beside.submit(draw, folder, partition, scene, counts)
-        outcomes = train_blocks(folder, workers, device, shown.stage, ended, began, fill)
-        drawn.result()
+    draw(folder, partition, city.scene, counts)
+    outcomes = train_blocks(folder, workers, city.device, shown.stage, ended, began, fill)
     for outcome in outcomes:
         if not outcome.ok:
             shown.failure(f"block {outcome.job.block.path.name} failed on {outcome.worker}: "
@@ -176,25 +174,20 @@ def cut_city(folder: CityFolder, partition: Mapping[str, Any], scene_path: Path 
     """
     folder.check_there()
     with RunFolder(folder.path).locked():
-        scene, options = begin_from_coarse(folder, scene_path)
-        device = choose_device(options.device, form=options.form)
-        cutting = chosen_partition(partition, scene, options, device, folder)
-        find_dense_gaussians(folder, scene, options, device)
-        cut, counts = cut_into_blocks(folder, scene, options, cutting, device)
-        draw(folder, cut, scene, counts)
-        return block_table(folder, device, counts).text()
+        city = City.open(folder, scene_path)
+        cutting = chosen_partition(partition, city)
+        find_dense_gaussians(city)
+        cut, counts = cut_into_blocks(city, cutting)
+        draw(folder, cut, city.scene, counts)
+        return block_table(folder, city.device, counts).text()
 
 
-def merge_city(folder: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-               fill: bool = False, reference: Path | None = None,
-               tree: bool = False, joint: bool = True, shown: Shown | None = None) -> Finished:
+def merge_city(city: City, fill: bool = False, reference: Path | None = None, tree: bool = False,
+               joint: bool = True, shown: Shown | None = None) -> Finished:
     """Merge the finished blocks of a city, train the whole jointly, and evaluate it.
 
     Parameters
     ----------
-    folder : of the city.
-    scene, options : the whole.
-    device : an open device.
     fill, tree, shown : as for `city`.
     reference : the PLY of the reference for seams; None: the coarse model.
     joint : whether there is a joint training, if the partition includes it.
@@ -205,14 +198,14 @@ def merge_city(folder: CityFolder, scene: Scene, options: TrainOptions, device: 
     Interrupted : the joint training was stopped; its state is saved.
     """
     if tree:
-        return Finished(merge_city_tree(folder, scene, options, device, fill))
-    with stopped_at(folder), (shown or Shown()).stage("joint training") as progress:
-        merged = merged_city(folder, scene, options, device, fill, progress, joint)
-    return Finished(merged, True, *evaluate_city(folder, options, device, merged, reference))
+        return Finished(merge_city_tree(city, fill))
+    with _stopped_at(city.folder), (shown or Shown()).stage("joint training") as progress:
+        merged = merged_city(city, fill, progress, joint)
+    return Finished(merged, True, *evaluate_city(city, merged, reference))
 
 
 @contextmanager
-def stopped_at(folder: CityFolder) -> Iterator[None]:
+def _stopped_at(folder: CityFolder) -> Iterator[None]:
     """Let an Interrupted in the block say how the city goes on."""
     try:
         yield
@@ -221,9 +214,8 @@ def stopped_at(folder: CityFolder) -> Iterator[None]:
                           ) from None
 
 
-def chosen_partition(given: Mapping[str, Any], scene: Scene, options: TrainOptions,
-                     device: Device, city: CityFolder, workers: int | None = 1, devices: int = 1,
-                     tree: bool = False) -> PartitionOptions:
+def chosen_partition(given: Mapping[str, Any], city: City, workers: int | None = 1,
+                     devices: int = 1, tree: bool = False) -> PartitionOptions:
     """The PartitionOptions with given fields, and others chosen.
 
     By default the blocks of the workers that share a device fit it together, and a city that is cut
@@ -234,17 +226,18 @@ def chosen_partition(given: Mapping[str, Any], scene: Scene, options: TrainOptio
     workers : None: as many as share the devices well.
     devices : the number of devices that the workers use.
     """
-    facts, photos = facts_of_whole(scene, options)
-    expected, fit = expected_gaussians(facts, options), gaussians_that_fit(device, options)
+    options = city.options
+    facts, photos = facts_of_whole(city.scene, options)
+    expected, fit = expected_gaussians(facts, options), gaussians_that_fit(city.device, options)
     number = workers or devices
-    recorded = requested_of(city) if city.has_partition else {}
+    recorded = requested_of(city.folder) if city.folder.has_partition else {}
     chosen = PartitionOptions(**{
         **{name: recorded[name] for name in STEPS if name in recorded}, **given,
         "expected": expected,
         "block_gaussians": given.get("block_gaussians") or max(
             LEAST_GAUSSIANS, int(fit / max(1, number / devices))),
         "least_blocks": min(number, max(1, expected // LEAST_GAUSSIANS)), "workers": number})
-    if workers is None and not device.is_cpu:
+    if workers is None and not city.device.is_cpu:
         # a GPU works for one block while others read, write and exchange
         sharing = min(MOST_SHARING, math.ceil(chosen.blocks / devices),
                       (os.cpu_count() or 1) // CORES_SHARING,

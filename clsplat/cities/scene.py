@@ -1,19 +1,29 @@
-"""A block as it is trained: an ordinary scene, and what the city adds to it."""
+"""A block as it is trained: an ordinary scene, and the parts of its training that the city adds."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-from clsplat.cities.parts import FrozenRows, SampleWeights
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.gaussians import Gaussians
 from clsplat.io.runs.city import BlockFolder
 from clsplat.io.scenes.read import read_scene
-from clsplat.options import TrainOptions
+from clsplat.partition.blocks import seen_pixels, trainable
 from clsplat.partition.region import Region
 from clsplat.response import Response
-from clsplat.scene import Scene
-from clsplat.training.part import Part
+from clsplat.scene import Scene, View
+from clsplat.schedule import SceneFacts
+from clsplat.training.part import Part, State
 from clsplat.training.parts.exposures import PhotoResponses
+
+if TYPE_CHECKING:
+    from clsplat.schedule.growth import Growth
+    from clsplat.training.model import Model
+    from clsplat.training.session import Session
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,15 +50,84 @@ class BlockScene:
         scene = replace(read_scene(block.path), notes=())
         return cls(scene, region, visits, block.responses())
 
-    def parts(self, options: TrainOptions) -> list[Part]:
-        """What makes the training of `scene` that of the block.
-
-        Parameters
-        ----------
-        options : of the training.
+    def parts(self, exposures: bool) -> list[Part]:
+        """What makes the training of `scene` that of the block; `exposures`: whether it has them.
         """
         parts: list[Part] = [FrozenRows(self.region), SampleWeights(self.visits)]
-        if options.exposure == "on" and self.responses:
+        if exposures and self.responses:
             # blocks that learned their own would not agree
             parts.append(PhotoResponses(self.responses, learns=False))
         return parts
+
+
+class Stage(Part):
+    """The city decides about the training, and shows its result."""
+
+    name = "stage"
+    is_stage = True
+
+
+class FrozenRows(Stage):
+    """Freezes the gaussians that a block does not train.
+
+    Parameters
+    ----------
+    region : of the block.
+    """
+
+    name = "frozen"
+
+    def __init__(self, region: Region) -> None:
+        self.region = region
+
+    def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View],
+              gaussians: Gaussians | None) -> SceneFacts:
+        """As `Part.facts`: the pixels that show what the block reaches, and what it trains there.
+        """
+        if gaussians is None:
+            return replace(facts, pixels=seen_pixels(scene, self.region, views))
+        return replace(facts, count=int(trainable(
+            scene, self.region, gaussians.positions, gaussians.log_scales).sum()))
+
+    def begin(self, session: Session) -> None:
+        """As `Part.begin`."""
+        self._scene = session.scene
+
+    def rows_changed(self, model: Model, growth: Growth | None) -> None:
+        """Freeze anew the rows that are new, or all."""
+        known = np.zeros(0, bool)
+        if growth is not None and model.frozen is not None:
+            known = model.frozen.download()[growth.source[:growth.unchanged]] > 0
+        positions, log_scales = (model.rows[name].download()[len(known):]
+                                 for name in ("positions", "log_scales"))
+        trains = trainable(self._scene, self.region, positions, log_scales)
+        model.frozen = model.device.upload(np.concatenate([known, ~trains]).astype(np.uint32))
+        self._model = model
+
+    def state(self) -> State:
+        """As `Part.state`."""
+        assert self._model.frozen is not None
+        return {"rows": self._model.frozen.download()}
+
+    def load(self, state: State, session: Session) -> None:
+        """As `Part.load`."""
+        assert self._model.frozen is not None
+        self._model.frozen.write(state["rows"])
+
+
+class SampleWeights(Part):
+    """Visits each photo of a block as often as it shows what the block owns.
+
+    Parameters
+    ----------
+    weights : how often, in any unit, by the name of a view; 1 for others.
+    """
+
+    name = "weights"
+
+    def __init__(self, weights: Mapping[str, float]) -> None:
+        self._weights = weights
+
+    def visits(self, views: Sequence[View]) -> NDArray[np.float64]:
+        """As `Part.visits`."""
+        return np.array([self._weights.get(view.name, 1.0) for view in views])

@@ -35,17 +35,16 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
     Where blocks exchange gaussians (--exchanges of `clsplat partition`), it ends at an exchange for
     which another block has not come far enough; the same command then goes on.
     """
-    from clsplat.cities.block import block_options, train_block
+    from clsplat.cities.block import BlockTraining
     from clsplat.cli.progress import Progress
     from clsplat.io.runs.city import BlockFolder
     city_block = BlockFolder(folder)
     city_block.check()
-    changes = {"device": device, "stop_at": stop_at}
-    options = block_options(city_block, **{key: value for key, value in changes.items()
-                                                if value})
+    changes = {key: value for key, value in (("device", device), ("stop_at", stop_at)) if value}
     try:
-        with nullcontext() if quiet else Progress(options.stop_at) as progress:
-            state = train_block(city_block, options, progress, wait, alone, until=until_exchange)
+        training = BlockTraining(city_block, changes=changes)
+        with nullcontext() if quiet else Progress(training.options.stop_at) as progress:
+            state = training.run(progress, until_exchange, alone, wait)
     except Interrupted:
         raise Interrupted(f"{folder}: stopped, its state is saved; the same command continues"
                           ) from None

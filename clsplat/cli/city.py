@@ -128,19 +128,18 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
     That may then be trained as a whole, and is evaluated on the held-out views. If blocks are
     missing, the command lists them and ends with exit code 2.
     """
+    from clsplat.cities.city import City
     from clsplat.cities.finish import reference_file
     from clsplat.cities.run import merge_city
-    from clsplat.cities.stages import begin_from_coarse
-    from clsplat.device import choose_device
     from clsplat.io.runs.city import CityFolder
     from clsplat.io.runs.run import RunFolder
     city = CityFolder(folder)
     city.check_there()
     reference = reference_file(against, tree)
     ctx.with_resource(RunFolder(folder).locked())
-    data, options = begin_from_coarse(city, scene)
-    finished = merge_city(city, data, options, choose_device(device), fill, reference,
-                          tree, joint, _shown(False, options.stop_at))
+    whole = City.open(city, scene, device)
+    finished = merge_city(whole, fill, reference, tree, joint,
+                          _shown(False, whole.options.stop_at))
     _print(city, finished, against, quiet=False)
 
 

@@ -9,8 +9,7 @@ from click.testing import CliRunner
 from scipy.spatial import cKDTree
 
 from clsplat.cities.block import decided_by, options_of_blocks
-from clsplat.cities.parts import FrozenRows
-from clsplat.cities.scene import BlockScene
+from clsplat.cities.scene import BlockScene, FrozenRows
 from clsplat.cli.main import main
 from clsplat.densify import round as growth
 from clsplat.gaussians import Gaussians
@@ -54,7 +53,8 @@ def block_of(scene, share=0.3, responses=None):
 
 def trained_block(folder, block, device, **changes):
     """The RunFolder of a block's training, as `tiny_training.trained`."""
-    return trained(folder, block.scene, device, parts=block.parts(options_of(**changes)), **changes)
+    return trained(folder, block.scene, device, **changes,
+                   parts=block.parts(options_of(**changes).exposure == "on"))
 
 
 # --- growth

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from clsplat.cities import block as block_module
-from clsplat.cities import cut, forecast, run, stages
+from clsplat.cities import city as cities
+from clsplat.cities import cut, forecast, run
+from clsplat.cities.city import City
 from clsplat.cities.run import chosen_partition
 from clsplat.cities.scene import BlockScene
 from clsplat.cli.main import main
@@ -98,8 +100,8 @@ def test_large_blocks_have_the_gpu_to_themselves(tmp_path, monkeypatch):
     scene = read_scene(CITY)
 
     def chosen(given, memory=2**36, *numbers, is_cpu=False, **changes):
-        return chosen_partition(given, scene, resolve({}, changes), a_card(memory, is_cpu),
-                                CityFolder(tmp_path), *numbers or (None,))
+        return chosen_partition(given, City(CityFolder(tmp_path), scene, resolve({}, changes),
+                                            a_card(memory, is_cpu)), *numbers or (None,))
 
     assert chosen({"grid": (2, 2)}).workers == 4
     assert chosen({"grid": (2, 2)}, is_cpu=True).workers == 1
@@ -137,7 +139,8 @@ def test_a_block_takes_as_many_steps_as_its_visits_say(made):
         assert record["options"]["iterations"] == round(60 * visits.sum() / training)
         assert record["options"]["test_every"] == 0 and record["options"]["levels"] == [1.0]
     assert RunFolder.open(made.coarse).read_options()["downscale"] == 8
-    assert cut.block_steps(resolve({}, {}), 299.6, (640, 480), FACTS)["iterations"] == 300
+    whole = City(made, None, resolve({}, {}), None)
+    assert cut.block_steps(whole, 299.6, (640, 480), FACTS)["iterations"] == 300
 
 
 def steps_of_blocks(folder):
@@ -206,11 +209,12 @@ def test_blocks_see_the_parts_of_photos_that_show_them(made):
 
 def test_a_chosen_grid_has_a_block_a_worker(tmp_path):
     given = {"margin": 0.1, "threshold": 0.1, "least_views": 3, "block_gaussians": 10**9}
-    scene, options, folder = read_scene(CITY), resolve({}, {}), CityFolder(tmp_path)
+    scene = read_scene(CITY)
+    whole = City(CityFolder(tmp_path), scene, resolve({}, {}), DEVICE_OF_1_GIB)
     for workers, grid in ((1, 1), (2, 2), (6, 6)):
-        wanted = chosen_partition(given, scene, options, DEVICE_OF_1_GIB, folder, workers)
+        wanted = chosen_partition(given, whole, workers)
         assert len(make_partition(scene, wanted).regions) == grid
-    assert chosen_partition(given, scene, options, DEVICE_OF_1_GIB, folder).least_blocks == 1
+    assert chosen_partition(given, whole).least_blocks == 1
 
 
 def test_the_steps_of_all_blocks_are_an_option(copy):
@@ -224,7 +228,7 @@ def test_the_steps_of_all_blocks_are_an_option(copy):
 def test_again_changes_nothing(copy, monkeypatch):
     before = model(copy)
     times = {path: path.stat().st_mtime_ns for path in copy.path.glob("blocks/*/run/*")}
-    monkeypatch.setattr(stages, "train", None)  # nothing is begun
+    monkeypatch.setattr(cities, "train", None)  # nothing is begun
     city(copy.path)
     assert model(copy) == before
     assert times == {path: path.stat().st_mtime_ns for path in copy.path.glob("blocks/*/run/*")}
@@ -299,11 +303,11 @@ def test_a_starving_grid_and_empty_bounds_are_refused(copy, capsys):
 
 @pytest.mark.slow
 def test_a_block_that_does_not_fit_its_device_is_named(copy, monkeypatch, capsys):
-    def train_block(*_):
+    def run(*_):
         raise OutOfDeviceMemory("a small device: no memory for 1 MiB more")
 
     shutil.rmtree(copy.block(1).run)
-    monkeypatch.setattr(block_module, "train_block", train_block)
+    monkeypatch.setattr(block_module.BlockTraining, "run", run)
     city(copy.path, code=2)
     error = capsys.readouterr().err
     assert "block 001 failed on this machine: a small device: no memory for 1 MiB more; " in error

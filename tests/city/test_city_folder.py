@@ -11,8 +11,7 @@ import pycolmap
 import pytest
 
 from clsplat.cities.block import options_of_blocks
-from clsplat.cities.parts import SampleWeights
-from clsplat.cities.scene import BlockScene
+from clsplat.cities.scene import BlockScene, SampleWeights
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
@@ -24,7 +23,6 @@ from clsplat.io.runs import city as module
 from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.scenes import write
 from clsplat.io.scenes.read import fingerprint, read_scene
-from clsplat.options import resolve
 from clsplat.partition.region import Region, Space
 from clsplat.response import Response
 from tests.data.tiny_training import CITY
@@ -275,7 +273,7 @@ def test_visits_travel_with_the_block(city, scene, gaussians):
     names = [scene.views[index].name for index in VIEWS]
     block = city.write_block(0, scene, VIEWS, WEST, {}, gaussians, None, OPTIONS, city.identity(),
                              visits={names[0]: 0.25})
-    parts = BlockScene.read(block).parts(resolve({}, {}))
+    parts = BlockScene.read(block).parts(False)
     weights = next(part for part in parts if isinstance(part, SampleWeights))
     assert weights.visits(read_scene(block.path).views).tolist() == [
         0.25 if view.name == names[0] else 1.0 for view in read_scene(block.path).views]

@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.cities import cut, dense
-from clsplat.cities.dense import (
-    counted_where,
-    dense_gaussians,
-    find_dense_gaussians,
-)
+from clsplat.cities import city as cities
+from clsplat.cities import cut
+from clsplat.cities.city import City, counted_where, find_dense_gaussians
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply
@@ -36,36 +33,37 @@ def folder(tmp_path):
 
 
 def test_they_are_those_with_which_one_run_begins(folder, scene, item_device):
-    options = resolve({}, {**LONG, "pixels_per_gaussian": 4.0})
-    find_dense_gaussians(folder, scene, options, item_device)
-    found = dense_gaussians(folder, scene, 2)
+    whole = City(folder, scene, resolve({}, {**LONG, "pixels_per_gaussian": 4.0}), item_device)
+    find_dense_gaussians(whole)
+    found = whole.dense_gaussians(2)
     assert found.sh_degree == 2 and found.count > len(scene.points)
     low, high = np.percentile(scene.points, (1, 99), axis=0)
     within = ((found.positions > low - 2) & (found.positions < high + 2)).all(axis=1)
     assert within.mean() > 0.9
     before = folder.dense.stat().st_mtime_ns
-    find_dense_gaussians(folder, scene, options, item_device)
+    find_dense_gaussians(whole)
     assert folder.dense.stat().st_mtime_ns == before
 
 
 @pytest.mark.parametrize("options", [{"init": "sfm"}, {"iterations": 10},
                                      {"schedule": "constant"}], ids=str)
 def test_no_city_has_them_where_one_run_begins_at_sparse_points(folder, scene, options):
-    find_dense_gaussians(folder, scene, resolve({}, {**LONG, **options}), None)
-    assert not folder.dense.exists() and dense_gaussians(folder, scene, 1) is None
+    whole = City(folder, scene, resolve({}, {**LONG, **options}), None)
+    find_dense_gaussians(whole)
+    assert not folder.dense.exists() and whole.dense_gaussians(1) is None
 
 
 def test_a_city_that_is_cut_stays_as_it_is(folder, scene, monkeypatch):
-    monkeypatch.setattr(dense, "prepare", None)
+    monkeypatch.setattr(cities, "prepare", None)
     folder.write_partition({"method": "by hand"})
-    find_dense_gaussians(folder, scene, resolve({}, LONG), None)
+    find_dense_gaussians(City(folder, scene, resolve({}, LONG), None))
     assert not folder.dense.exists()
 
 
 def test_they_were_requested_and_cannot_be_had(folder, scene):
     alone = replace(scene, observations=np.zeros((0, 2), np.int32))
     with pytest.raises(InputError, match="--init dense needs three photos"):
-        find_dense_gaussians(folder, alone, resolve({}, {**LONG, "init": "dense"}), None)
+        find_dense_gaussians(City(folder, alone, resolve({}, {**LONG, "init": "dense"}), None))
 
 
 def test_they_count_where_the_nearest_coarse_gaussian_stands():

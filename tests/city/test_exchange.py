@@ -10,9 +10,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from clsplat.cities import block as training_block
-from clsplat.cities import blocks, cut
 from clsplat.cities import exchange as exchange_module
-from clsplat.cities.block import block_options, train_block
+from clsplat.cities.block import BlockTraining, block_options
 from clsplat.cities.exchange import (
     exchange,
     exchange_steps,
@@ -29,7 +28,6 @@ from clsplat.io.records import write_object
 from clsplat.io.runs.city import BLOCK, EXCHANGES, OTHERS, BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
-from clsplat.options import resolve
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
@@ -65,11 +63,11 @@ def stopped(tmp_path_factory, item_device):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_block, "choose_device", lambda *_, **__: item_device)
         patch.setattr(exchange_module, "RunFolder", None)  # parts are written without reading it
-        said = train_block(city.block(0), block_options(city.block(0)))
+        said = BlockTraining(city.block(0)).run()
         assert said.startswith("waits at exchange 1 of 1, after step 100: train 001 too")
         patch.setattr(training_block, "exchange", lambda *_: pytest.exit("not yet"))
         patch.setattr(training_block, "lacking_blocks", lambda *_: ["000"])
-        train_block(city.block(1), block_options(city.block(1)))
+        BlockTraining(city.block(1)).run()
     return city
 
 
@@ -119,7 +117,7 @@ def test_a_block_goes_on_from_what_others_own(city):
 def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
     block, copy = city.block(0), CityFolder(city.path.with_name("copy"))
     shutil.copytree(city.path, copy.path, symlinks=True)
-    assert train_block(block, block_options(block)) == "finished"
+    assert BlockTraining(block).run() == "finished"
     killed = copy.block(0)
 
     def dies(*_, **__):
@@ -131,10 +129,10 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, dies)
             with pytest.raises(SystemExit):
-                train_block(killed, block_options(killed))
-    assert train_block(killed, block_options(killed)) == "finished"
+                BlockTraining(killed).run()
+    assert BlockTraining(killed).run() == "finished"
     assert model_digest(RunFolder(killed.run)) == model_digest(RunFolder(block.run))
-    assert train_block(killed, block_options(killed)) == "was finished before"
+    assert BlockTraining(killed).run() == "was finished before"
 
 
 @pytest.mark.slow
@@ -143,15 +141,15 @@ def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
     run, part = RunFolder(block.run), block.exchanged(1)
     content = part.read_bytes()
     part.unlink()
-    said = train_block(block, block_options(block), until=1)
+    said = BlockTraining(block).run(until=1)
     assert said == f"stops at exchange 1 of 1, after step {AT}"
     assert run.checkpoint_iteration() == AT and not run.has_model
     assert part.read_bytes() == content  # written again from the checkpoint
     with pytest.raises(InputError, match="no exchange 2, as .* 1 times"):
-        train_block(block, block_options(block), until=2)
-    assert train_block(block, block_options(block)) == "finished"
+        BlockTraining(block).run(until=2)
+    assert BlockTraining(block).run() == "finished"
     with pytest.raises(InputError, match="no exchange 1, as .* 0 times"):
-        train_block(block, block_options(block), alone=True, until=1)
+        BlockTraining(block).run(alone=True, until=1)
 
 
 @pytest.mark.slow
@@ -196,11 +194,6 @@ def test_exchanges_lie_in_the_second_half():
             found = exchange_steps(steps, count)
             assert len({*found}) == count and found == sorted(found)
             assert found[0] >= 100 and found[-1] < steps and not any(step % 100 for step in found)
-    asked = SimpleNamespace(read_partition=lambda: {cut.REQUESTED: {"exchanges": 3}})
-    for steps, budget, wanted in (([900, 1300], "", 3), ([900, 500], "", 2), ([199, 900], "", 0),
-                                  ([9000, 9000], "10m", 0), ([9000], "", 0)):
-        assert cut.planned_exchanges(asked, resolve({}, {"time_budget": budget}),
-                                     steps) == wanted
 
 
 @pytest.mark.parametrize("fill", [False, True])
@@ -214,7 +207,7 @@ def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
             "number": n, "city": "c", "partition": "p", "options": {"device": "gpu"},
             EXCHANGES: [100, 200], OTHERS: others})
     city = SimpleNamespace(blocks=found.values, block=found.__getitem__)
-    monkeypatch.setattr(blocks, "expected_work", lambda block: 1)
+    monkeypatch.setattr(training_block, "_expected_work", lambda block: 1)
     ran = []
 
     def train(job):
@@ -229,7 +222,7 @@ def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
     monkeypatch.setattr(Workers, "run", lambda workers, jobs, here, *rest: engine(
         workers, jobs, train, *rest))
     outcomes = {outcome.job.block.path.name: outcome
-                for outcome in blocks.train_blocks(city, Workers(), None, fill=fill)}
+                for outcome in training_block.train_blocks(city, Workers(), None, fill=fill)}
     firsts = [f"00{n}, stage 1 of 3" for n in range(4)]
     seconds = [f"00{n}, stage 2 of 3" for n in range(4)]
     last = "003, stage 3 of 3"  # needs the second parts of 2 and 3 only
@@ -240,5 +233,5 @@ def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
     assert str(outcomes["001"].error) == "no such photo"
     monkeypatch.setattr(Workers, "run", lambda workers, jobs, here, *rest: engine(
         workers, jobs, lambda job: job.done.touch(), *rest))
-    assert all(outcome.ok for outcome in blocks.train_blocks(city, Workers(), None))
+    assert all(outcome.ok for outcome in training_block.train_blocks(city, Workers(), None))
     assert all((block.run / "point_cloud.ply").exists() for block in found.values())

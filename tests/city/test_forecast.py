@@ -9,6 +9,7 @@ import pytest
 import clsplat.cities.forecast as forecast_module
 import clsplat.cities.run as city_module
 from clsplat.camera import Camera
+from clsplat.cities.city import City
 from clsplat.cities.forecast import (
     PIXELS_PER_GAUSSIAN,
     block_table,
@@ -47,13 +48,11 @@ def test_the_expected_number_is_the_limit_of_the_schedule():
 
 
 def test_blocks_that_share_a_device_fit_it_together(tmp_path):
-    scene, options = read_scene(CITY), resolve({}, {})
-    device = SimpleNamespace(real=np.dtype(np.float32), handle=SimpleNamespace(
-        global_mem_size=2**36))
+    options, device = resolve({}, {}), a_card(2**36)
+    whole = City(CityFolder(tmp_path), read_scene(CITY), options, device)
 
     def largest(*given):
-        return chosen_partition({}, scene, options, device, CityFolder(tmp_path),
-                                 *given).block_gaussians
+        return chosen_partition({}, whole, *given).block_gaussians
 
     assert largest() == largest(2, 2) == largest(1, 4) == gaussians_that_fit(device, options)
     assert largest(8, 2) == largest() // 4
@@ -70,7 +69,7 @@ def test_blocks_that_share_a_device_fit_it_together(tmp_path):
 def test_workers_share_the_devices_that_are_named(tmp_path, monkeypatch, flags, numbers):
     """On a cluster each has its own."""
     def noted(*given):
-        assert given[5:7] == numbers
+        assert given[2:4] == numbers
         raise InputError("noted")
 
     monkeypatch.setattr(city_module, "chosen_partition", noted)
@@ -132,7 +131,7 @@ def test_short_trainings_are_foretold_without_trial_steps(monkeypatch, seconds, 
     block = SimpleNamespace(scene=None, parts=lambda _: ())
     for name, value in (("Planned", lambda *_, parts: SimpleNamespace(forecast=planned)),
                         ("BlockScene", SimpleNamespace(read=lambda _: block)),
-                        ("block_options", lambda _: None),
+                        ("block_options", lambda _: SimpleNamespace(exposure="on")),
                         ("coarse_steps", lambda *_: [(1.0, 1.0, seconds)])):
         monkeypatch.setattr(forecast_module, name, value)
     (note, *_) = block_table(city, a_card(2**33), [10, 10]).notes

@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
+from clsplat.cities.city import City
 from clsplat.cities.exchange import Owned
 from clsplat.cities.joint import begin_with, train_jointly
 from clsplat.cities.merge import merge
@@ -122,12 +123,13 @@ def test_a_model_is_taken_without_the_points_at_which_it_began(city, scene):
 def test_a_joint_training_of_another_city_is_refused(city, scene):
     merged = merge(city, scene)
     city.write_partition({**city.read_partition(), "joint": {"iterations": 9}})
-    begin_with(city, scene, merged.gaussians)
+    whole = City(city, scene, resolve({}, {}), None)
+    begin_with(whole, merged.gaussians)
     save(city.joint, merged.gaussians, scene, "0" * 64)
     with pytest.raises(InputError, match="joint training of another city"):
-        train_jointly(city, scene, resolve({}, {}), merged, None)
+        train_jointly(whole, merged)
     save(city.joint, merged.gaussians, scene, digest_of(city.joint_start))
-    assert train_jointly(city, scene, resolve({}, {}), merged, None).count == merged.count
+    assert train_jointly(whole, merged).count == merged.count
 
 
 @pytest.mark.slow

@@ -15,8 +15,7 @@ import clsplat
 from clsplat.cities import cluster
 from clsplat.cities.cluster import Cluster
 from clsplat.cities.jobs import HERE, Lost
-from clsplat.cities.processes import LOG
-from clsplat.cities.workers import MOST_LOSSES, Workers
+from clsplat.cities.workers import LOG, MOST_LOSSES, Workers
 from clsplat.errors import InputError, Interrupted, OutOfDeviceMemory
 from clsplat.io.lock import exclusive
 from tests.city.jobs_driver import (

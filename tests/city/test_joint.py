@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from clsplat.cities import finish
+from clsplat.cities.city import City, train_coarse
 from clsplat.cities.cut import JOINT
 from clsplat.cities.finish import merged_city
 from clsplat.cities.joint import begin_with, joint_options, train_jointly
 from clsplat.cities.merge import Merged
 from clsplat.cities.run import chosen_partition
-from clsplat.cities.stages import train_coarse
 from clsplat.device import choose_device
 from clsplat.errors import DeviceError, InputError, Interrupted, OutOfDeviceMemory
 from clsplat.evaluation.run import Run
@@ -40,8 +40,8 @@ LARGE, SMALL = (SimpleNamespace(real=np.dtype(np.float32), handle=SimpleNamespac
 def steps(folder, device=LARGE, given=(), tree=False, **options):
     """(Joint steps, exchanges, block steps) of a city in 2x1 blocks."""
     scene = read_scene(CITY)
-    chosen = chosen_partition({"grid": (2, 1), **dict(given)}, scene, resolve({}, options), device,
-                               CityFolder(folder), tree=tree)
+    whole = City(CityFolder(folder), scene, resolve({}, options), device)
+    chosen = chosen_partition({"grid": (2, 1), **dict(given)}, whole, tree=tree)
     return chosen.joint_steps, chosen.exchanges, chosen.block_steps
 
 
@@ -88,21 +88,24 @@ def folder(tmp_path):
     return folder
 
 
+def whole_of(folder, **options):
+    return City(folder, read_scene(CITY), resolve({}, options), None)
+
+
 @pytest.fixture
 def merged():
     return strewn(9)
 
 
 def test_a_joint_training_of_another_model_is_removed(folder, merged):
-    scene = read_scene(CITY)
-    kept = folder.joint / "kept"
-    begin_with(folder, scene, merged)
+    whole, kept = whole_of(folder), folder.joint / "kept"
+    begin_with(whole, merged)
     folder.joint.mkdir()
     kept.touch()
-    begin_with(folder, scene, merged)
+    begin_with(whole, merged)
     assert kept.exists(), "the same model"
     merged.rows["positions"][0] += 1
-    begin_with(folder, scene, merged)
+    begin_with(whole, merged)
     assert not kept.exists()
     assert sorted(path.name for path in folder.path.iterdir()) == ["joint_start.ply",
                                                                    "partition.json"]
@@ -112,7 +115,7 @@ def test_it_begins_at_the_points_of_the_merged_model(folder):
     """With their colours, but not with their shapes, opacities and directions of light."""
     model, scene = strewn(200), read_scene(CITY)
     model.rows["sh_constant"][:] = np.linspace(-1, 1, 600).reshape(200, 3)
-    begin_with(folder, scene, model)
+    begin_with(whole_of(folder), model)
     start = read_ply(folder.joint_start, scene.offset)
     assert start.sh_degree == 0 and np.allclose(start.positions, model.positions)
     assert abs(start.sh_constant - model.sh_constant).max() <= 0.5 / 255 / 0.282 + 1e-6
@@ -127,7 +130,7 @@ def test_half_of_the_points_are_dense_ones(folder):
     dense.rows["positions"][:] += 1000
     dense.rows["sh_constant"][:] = 0.25
     write_ply(folder.dense, dense.with_sh_degree(0), scene.offset)
-    begin_with(folder, scene, model)
+    begin_with(whole_of(folder), model)
     start = read_ply(folder.joint_start, scene.offset)
     of_dense = start.positions[:, 0] > 500
     for part, of_part in ((dense, of_dense), (model, ~of_dense)):
@@ -136,23 +139,22 @@ def test_half_of_the_points_are_dense_ones(folder):
         assert known.issuperset(map(tuple, start.positions[of_part].round(2).tolist()))
     assert abs(start.sh_constant[of_dense] - 0.25).max() <= 0.5 / 255 / 0.282 + 1e-6
     before = folder.joint_start.read_bytes()
-    begin_with(folder, scene, model)
+    begin_with(whole_of(folder), model)
     assert folder.joint_start.read_bytes() == before
-    begin_with(folder, scene, model, seed=1)
+    begin_with(whole_of(folder, seed=1), model)
     assert folder.joint_start.read_bytes() != before
 
 
 def test_without_one_the_merged_model_stays(folder, merged):
     folder.joint.mkdir()  # of an earlier partition
     blocks = Merged(merged, (), {}, folder.path)
-    assert train_jointly(folder, read_scene(CITY), resolve({}, {}), blocks, None) is blocks
+    assert train_jointly(whole_of(folder), blocks) is blocks
     assert not folder.joint.exists()
 
 
 def test_a_limit_of_gaussians_is_one_of_each_block(folder, merged):
     def most(limit):
-        return joint_options(folder, {"max_gaussians": limit}, resolve({}, {}),
-                             merged.count).max_gaussians
+        return joint_options(whole_of(folder), {"max_gaussians": limit}, merged.count).max_gaussians
 
     assert (most(0), most(5), most(20)) == (0, 9, 20)
 
@@ -162,7 +164,7 @@ def test_a_limit_of_gaussians_is_one_of_each_block(folder, merged):
     ({"nothing": 1}, "nothing")])
 def test_damaged_options_are_named(folder, given, cause):
     with pytest.raises(InputError, match=f"partition.json: .*{cause}"):
-        joint_options(folder, given, resolve({}, {}), 9)
+        joint_options(whole_of(folder), given, 9)
 
 
 @pytest.mark.parametrize("error", [OutOfDeviceMemory, DeviceError])
@@ -171,14 +173,15 @@ def test_a_device_that_cannot_hold_the_whole_leaves_it_as_merged(
     def fails(*_):
         raise error("a card: no memory")
 
-    monkeypatch.setattr(finish, "train_jointly", fails)
     blocks = Merged(merged, (), {}, folder.path)
-    given = folder, None, None, None, blocks, None
+    for name, value in (("merge", lambda *_: blocks), ("train_jointly", fails),
+                        ("_note_merge", lambda *_: None)):
+        monkeypatch.setattr(finish, name, value)
     if error is DeviceError:
         with pytest.raises(error):
-            finish._trained_jointly(*given)
+            merged_city(whole_of(folder))
         return
-    assert finish._trained_jointly(*given) is blocks
+    assert merged_city(whole_of(folder)) is blocks
     assert "no joint training" in caplog.text
 
 
@@ -264,10 +267,10 @@ def test_a_stopped_joint_training_goes_on(trained, tmp_path, monkeypatch):
     monkeypatch.setattr(CityFolder, "identity", lambda _: trained_identity)
     trained_identity = {key: copy.blocks()[0].read()[key] for key in ("city", "partition")}
     with pytest.raises(Interrupted):
-        merged_city(copy, scene, options, device)
+        merged_city(City(copy, scene, options, device))
     assert RunFolder(copy.joint).checkpoint_iteration() == 11 and not RunFolder(copy.path).has_model
     copy.write_partition(partition)
-    merged_city(copy, scene, options, device)
+    merged_city(City(copy, scene, options, device))
     assert model(copy) == before
 
 
@@ -277,8 +280,8 @@ def test_a_coarse_run_goes_on_with_the_steps_with_which_it_began(tmp_path, item_
     options = resolve({}, {"iterations": 24, "downscale": 8.0, "sh_degree": 0, "exposure": "off",
                            "init": "sfm"})
     with pytest.raises(Interrupted):
-        train_coarse(folder, scene, replace(options, stop_at=4), item_device, joint=True)
-    run = train_coarse(folder, scene, options, item_device)
+        train_coarse(City(folder, scene, replace(options, stop_at=4), item_device), joint=True)
+    run = train_coarse(City(folder, scene, options, item_device))
     assert run.records()[-1]["iteration"] == 6
 
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from clsplat.cities.city import City
 from clsplat.cities.finish import merged_city
 from clsplat.cities.merge import joined, merge
 from clsplat.errors import InputError
@@ -256,12 +257,12 @@ def test_a_city_of_another_scene_is_refused(city, scene):
 
 def test_the_merged_run_has_the_exposures_of_the_coarse_run(city, scene):
     """By which its held-out views are scored; a coarse run without any leaves none."""
-    device = SimpleNamespace(name="none", form="item")
-    merged_city(city, scene, resolve({}, {}), device)
+    whole = City(city, scene, resolve({}, {}), SimpleNamespace(name="none", form="item"))
+    merged_city(whole)
     assert RunFolder(city.path).load_exposures() is None
     known = {scene.views[1].name: Response(1.1 * np.eye(3, 4), np.array([-0.1, 0, 0.2, 1.5]))}
     RunFolder(city.coarse).save_exposures(known)
-    merged_city(city, scene, resolve({}, {}), device)
+    merged_city(whole)
     (name, found), = RunFolder(city.path).load_exposures().items()
     assert name in known and np.array_equal(found.transform, known[name].transform)
     assert np.array_equal(found.vignetting, known[name].vignetting)

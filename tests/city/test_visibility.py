@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.cities.visibility import DropTest
+from clsplat.cities.cut import DropTest
 from clsplat.evaluation.metrics import ssim
 from clsplat.evaluation.views import opened, render_view
 from clsplat.gaussians import Gaussians

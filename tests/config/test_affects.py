@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from clsplat.cities import stages
-from clsplat.cities.block import _check_same
+from clsplat.cities import city as cities
+from clsplat.cities.block import BlockTraining
 from clsplat.cli import campaign
 from clsplat.cli.train import resumed_options
 from clsplat.config.option import differences, plain
@@ -56,13 +56,15 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
     run.write_options({"scene": tmp_path, **dataclasses.asdict(here)})
     monkeypatch.setattr(campaign, "_is_of", lambda *_: True)
     assert refuses(campaign._state, run.path, other, tmp_path) == differs
-    assert refuses(_check_same, run, other) == (differs and name != "init")  # a block's moves
+    block = SimpleNamespace(folder=run, options=other)  # whose `init` moves
+    assert refuses(BlockTraining._check_same, block) == (differs and name != "init")
     city = SimpleNamespace(
         has_record=True, path=tmp_path, coarse=run.path, make=lambda: None, write=lambda _: None,
         read=lambda options: {"fingerprint": "f", "options": record})
-    monkeypatch.setattr(stages, "scene_record", lambda *_: {})
-    monkeypatch.setattr(stages, "fingerprint", lambda _: "f")
-    assert refuses(stages.begin, city, SimpleNamespace(path=str(tmp_path)), other) == differs
+    monkeypatch.setattr(cities, "scene_record", lambda *_: {})
+    monkeypatch.setattr(cities, "fingerprint", lambda _: "f")
+    whole = cities.City(city, SimpleNamespace(path=str(tmp_path)), other, None)
+    assert refuses(whole.begin) == differs
     # a comparison: of models, over seeds; what `form` became is a fact of its own
     two = [Trained(str(number), plain(options), [], True)
            for number, options in enumerate((here, other))]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clsplat.cities.parts import FrozenRows, SampleWeights
+from clsplat.cities.scene import FrozenRows, SampleWeights
 from clsplat.errors import InputError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.io.runs.run import RunFolder

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from clsplat.cities.stages import begin
+from clsplat.cities.city import City
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.runs.city import CityFolder
@@ -71,6 +71,6 @@ def test_poses_stay_in_the_warm_up_and_are_recorded(item_device, city, tmp_path)
 
 def test_cities_and_the_reprojection_loss_refuse_it(city, tmp_path):
     with pytest.raises(InputError, match="^--poses on: is for single runs; the blocks of a city"):
-        begin(CityFolder(tmp_path), city, options_of(poses="on"))
+        City(CityFolder(tmp_path), city, options_of(poses="on"), None).begin()
     with pytest.raises(InputError, match="^--poses on: does not go with --reproject, which"):
         resolve({}, {"poses": "on", "reproject": "auto"})

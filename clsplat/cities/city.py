@@ -1,0 +1,213 @@
+"""A city and its first stages: begin, the coarse run, dense points; cut.py and block.py follow."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from clsplat.config.option import AUTO, differences
+from clsplat.device import Device, choose_device
+from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
+from clsplat.evaluation.views import final_metrics
+from clsplat.gaussians import Gaussians
+from clsplat.io.folders import make_folder
+from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.photos.depth import with_depths
+from clsplat.io.photos.undistort import undistorted
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import CITY, RunFolder
+from clsplat.io.runs.scene_path import recorded_scene, scene_record
+from clsplat.io.scenes.read import fingerprint, read_scene
+from clsplat.options import TrainOptions, checked_values, resolve
+from clsplat.scene import Scene, View
+from clsplat.schedule import SceneFacts, chooses_steps, worthwhile_steps
+from clsplat.training.loop import resume, train
+from clsplat.training.photos import THREADS
+from clsplat.training.progress import SilentProgress
+from clsplat.training.start.initialise import first_gaussians
+from clsplat.training.start.prepare import prepare, scene_facts
+
+COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
+# of the steps of one run; at half size they cost a quarter or less. A joint training needs fewer
+COARSE_SHARE, COARSE_SHARE_BEFORE_JOINT = 0.5, 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class City:
+    """A large scene that is trained in blocks.
+
+    Attributes
+    ----------
+    folder : where its files are.
+    scene : the whole, as `read_scene` returns it.
+    options : of the whole.
+    device : an open device, for what is not trained in blocks.
+    """
+
+    folder: CityFolder
+    scene: Scene
+    options: TrainOptions
+    device: Device
+
+    @classmethod
+    def open(cls, folder: CityFolder, scene_path: Path | None = None, device: str = "") -> City:
+        """A city that was begun, or that begins here with the coarse run in CITY/coarse.
+
+        Parameters
+        ----------
+        folder : its folder.
+        scene_path : where the scene is now, if it was moved.
+        device : its name; "": that of the options.
+        """
+        if begun := folder.has_record:
+            record = folder.read(scene=str, options=dict)
+            options = resolve({}, checked_values(str(folder.path / CITY), record["options"]))
+            scene = read_scene(recorded_scene(record, folder.path, scene_path), options.images)
+            if fingerprint(scene) != record["fingerprint"]:
+                raise InputError(f"{folder.path}: its scene {scene.path} has changed since; put it "
+                                 "back, or begin a new city")
+        else:
+            run = Run.open(folder.coarse)
+            options, scene = _options_before(run), run.scene(scene_path, whole=True)
+        city = cls(folder, scene, options, choose_device(device) if device else
+                   choose_device(options.device, form=options.form))
+        if not begun:
+            city.begin()
+        return city
+
+    @cached_property
+    def pinhole(self) -> Scene:
+        """The scene as it is trained: with depth maps, and photos without distortion."""
+        return undistorted(with_depths(self.scene, self.options.depth), self.folder.undistorted,
+                           THREADS)
+
+    def begin(self) -> None:
+        """Write the scene and the options of the whole into city.json.
+
+        Raises
+        ------
+        InputError : the folder holds a city of another scene, or one with other options; or the
+            network of `options.lpips` cannot be read; or the options correct poses.
+        """
+        folder, options = self.folder, self.options
+        if options.poses == "on":
+            raise InputError("--poses on: is for single runs; the blocks of a city would correct "
+                             "the same poses differently, so leave it out")
+        final_metrics(options.lpips)  # a network that cannot be read is refused before the work
+        record = {**scene_record(self.scene.path, folder.path),
+                  "fingerprint": fingerprint(self.scene), "options": dataclasses.asdict(options)}
+        if folder.has_record:
+            earlier = folder.read(options=dict)
+            if earlier["fingerprint"] != record["fingerprint"]:
+                raise InputError(f"{folder.path}: is the city of another scene, "
+                                 f"{earlier.get('scene_absolute')}; choose another --output")
+            changed = next(differences(earlier["options"], options), None)
+            if changed and RunFolder(folder.coarse).is_begun:  # else they have not been used yet
+                raise InputError(f"{folder.path}: was begun with {changed[0]} {changed[1]}; give "
+                                 "the same options, or choose another --output")
+        else:
+            folder.check_free()
+        make_folder(folder.path, "choose another --output")
+        folder.write(record)
+
+    def one_run(self, scene: Scene, views: Sequence[View]) -> tuple[int, SceneFacts]:
+        """The steps that one run of a scene with these training views takes, and its facts."""
+        facts = scene_facts(scene, views)
+        return worthwhile_steps(self.options, facts, len(views))[0], facts
+
+    def dense_gaussians(self, sh_degree: int) -> Gaussians | None:
+        """The gaussians of CITY/dense.ply in the scene's frame; None without that file."""
+        if not self.folder.dense.is_file():
+            return None
+        return read_ply(self.folder.dense, self.scene.offset).with_sh_degree(sh_degree)
+
+
+def train_coarse(city: City, progress: SilentProgress | None = None, joint: bool = False
+                 ) -> RunFolder:
+    """Train the coarse model in CITY/coarse, or continue its training; return its folder.
+
+    `joint` : whether the city will be trained jointly.
+    """
+    folder = RunFolder(city.folder.coarse)
+    if folder.is_begun and folder.read_options().get("fingerprint") != fingerprint(city.scene):
+        raise InputError(f"{folder.path}: is a run of another scene; choose another --output")
+    if folder.is_finished:
+        return folder
+    coarse = coarse_options(city, joint)
+    with folder.locked():
+        if folder.is_begun:  # as it was begun: on another device there may be no joint training
+            steps = Run.open(folder.path).options.iterations
+            resume(city.pinhole, dataclasses.replace(coarse, iterations=steps), city.device,
+                   folder, progress)
+        else:
+            folder = RunFolder.create(folder.path)
+            train(city.pinhole, coarse, city.device, folder, progress)
+    return folder
+
+
+def coarse_options(city: City, joint: bool = False) -> TrainOptions:
+    """The options of the coarse run: photos half as large as the blocks', and a half or a quarter
+    of the steps of one run; it begins at the sparse points.
+
+    `joint` : whether the city will be trained jointly.
+    """
+    options, scene = city.options, city.pinhole
+    one_run, _ = city.one_run(scene, scene.split(options.test_every, options.test_offset)[0])
+    share = COARSE_SHARE_BEFORE_JOINT if joint else COARSE_SHARE
+    return dataclasses.replace(
+        options, coarse=True, snapshots=False, init=AUTO,
+        downscale=COARSE_FACTOR * options.downscale,
+        max_resolution=-(-options.max_resolution // COARSE_FACTOR),
+        iterations=max(1, int(share * one_run)), eval_at=(), eval_every=0, lpips="")
+
+
+def _options_before(run: Run) -> TrainOptions:
+    """The options of the whole, of which a run by itself is the coarse run."""
+    coarse = run.options
+    if not coarse.coarse:
+        raise InputError(f"{run.path}: was not trained with --coarse; begin again with "
+                         f"`clsplat train SCENE --coarse -o {run.path}`")
+    return dataclasses.replace(
+        coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
+        max_resolution=COARSE_FACTOR * coarse.max_resolution,
+        iterations=(int(coarse.iterations / COARSE_SHARE) if chooses_steps(coarse) else
+                    coarse.iterations))
+
+
+def find_dense_gaussians(city: City, progress: SilentProgress | None = None) -> None:
+    """Write CITY/dense.ply, if one run of the whole scene would begin at dense points.
+
+    They are found once for the whole, as photos are in several blocks, which begin with those that
+    stand in gaps of the coarse model (partition/blocks.py). A city that is cut already stays as it
+    is. InputError if they were requested, and cannot be had.
+    """
+    if city.folder.has_partition or city.folder.dense.is_file():
+        return
+    prepared = prepare(city.pinhole, dataclasses.replace(city.options, snapshots=False))
+    if prepared.options.init != "dense":
+        return
+    gaussians, _ = first_gaussians(city.device, prepared, progress or SilentProgress())
+    write_ply(city.folder.dense, gaussians.with_sh_degree(0).scaled(prepared.scene.unit),
+              city.scene.offset, sphere=True)
+
+
+def counted_where(coarse: Gaussians, dense: Gaussians | None) -> NDArray[np.float64]:
+    """How many gaussians blocks begin with, counted where the N coarse ones stand, as float64[N].
+
+    These are a coarse gaussian itself and the dense points to which it is the nearest. Blocks of
+    equal counts take about equal memory and time.
+    """
+    counts = np.ones(coarse.count)
+    if dense is not None:
+        tree = cKDTree(coarse.positions, balanced_tree=False)
+        _, nearest = tree.query(dense.positions, workers=-1)
+        counts += np.bincount(nearest, minlength=coarse.count)
+    return counts
