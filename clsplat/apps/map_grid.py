@@ -14,7 +14,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.survey import ground_samples
 from clsplat.io.georeference.crs import SHOWN, heights_of, map_crs, on_ground
 from clsplat.io.reason import clean
-from clsplat.partition.frame import ground_axes
+from clsplat.partition.input import ground_axes
 from clsplat.partition.region import map_axes as horizontal_axes
 from clsplat.scene import Scene
 

@@ -23,8 +23,8 @@ from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
 from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.origin import recorded_scene, scene_record
 from clsplat.io.runs.run import CITY, RunFolder
-from clsplat.io.runs.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.scene import Scene, View

@@ -22,13 +22,12 @@ from clsplat.io.atomic import replacing
 from clsplat.io.models.values import to_bytes
 from clsplat.io.runs.city import DENSE, EXCHANGES, OTHERS, PARTITION, CityFolder
 from clsplat.loss.image_loss import image_loss, loss_value
-from clsplat.partition.blocks import block_start, filled
+from clsplat.partition.blocks import block_start, filled, find_windows, owned_shares
 from clsplat.partition.input import world_of
 from clsplat.partition.make import make_partition
 from clsplat.partition.options import BLOCK_STEPS, PartitionOptions
 from clsplat.partition.outline import geojson
 from clsplat.partition.partition import Partition
-from clsplat.partition.windows import find_windows, owned_shares
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Rows
 from clsplat.report.map import write_map
@@ -193,7 +192,7 @@ def _check_same(city: CityFolder, options: PartitionOptions) -> None:
 
 
 class DropTest:
-    """1 - SSIM between renders of a view with all gaussians and with some; see `partition.citygs`.
+    """1 - SSIM between renders of a view with all gaussians and with some; see `methods.citygs`.
 
     It is that of the training loss. The device compares both renders with the full one in 8 bits,
     so what these lack is the same in both, and the difference of the two values is taken.

@@ -1,5 +1,6 @@
 """Forecasts of the memory and time of a city's blocks."""
 
+import heapq
 from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +15,6 @@ from clsplat.gaussians import LEARNED
 from clsplat.io.runs.city import DENSE, CityFolder
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.options import ScheduledOptions
-from clsplat.partition.grid import makespan
 from clsplat.partition.options import JOINT_STEPS, PartitionOptions
 from clsplat.rendering.options import RenderingOptions
 from clsplat.report.page import Table
@@ -57,6 +57,20 @@ def gaussians_that_fit(device: Device, options: RenderingOptions) -> int:
     floats = sum(field.width(degree) for field in LEARNED)
     each = 3 * floats * device.real.itemsize
     return max(1, int(MODEL_SHARE * device.handle.global_mem_size / each))
+
+
+def makespan(work: Iterable[float], workers: int) -> float:
+    """When the last worker ends, if each takes the longest task that is left (Graham 1969).
+
+    Parameters
+    ----------
+    work : the time of each task.
+    workers : how many there are, at least 1.
+    """
+    ends = [0.0] * workers
+    for task in sorted(work, reverse=True):
+        heapq.heapreplace(ends, ends[0] + task)
+    return max(ends)
 
 
 def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) -> Table:

@@ -50,10 +50,9 @@ def number_of_workers(text: str) -> int | None:
 @click.option("--workers", type=Parsed("INTEGER", number_of_workers), default=AUTO,
               show_default=True, metavar="[auto|INTEGER]", **BLOCKS,
               help="Number of blocks that are trained at a time on this machine; --grid auto makes "
-              "at least as many blocks, and more where the last worker then ends earlier. auto: "
-              "one for each device, or as many as share a GPU well: up to four, with four cores "
-              "for each, and blocks that fit its memory together. With "
-              "--scheduler: for how many workers to cut.")
+              "at least as many blocks. auto: one for each device, or as many as share a GPU "
+              "well: up to four, with four cores for each, and blocks that fit its memory "
+              "together. With --scheduler: for how many workers to cut.")
 @click.option("--scheduler", default="", **BLOCKS, help="Address of a Dask scheduler, such as "
               "tcp://10.0.0.1:8786, whose workers train the blocks.")
 @click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, use the coarse model's "

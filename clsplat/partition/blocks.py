@@ -32,6 +32,16 @@ if TYPE_CHECKING:
 VISIBLE_DEVIATIONS = 3.0  # standard deviations from its centre within which a gaussian is visible
 TRAINED_DEVIATIONS = 2.0  # that must lie within a block's reach for the block to train a gaussian
 
+WINDOW_QUANTILES = (0.005, 0.995)  # along both axes, of the gaussians of a block that a view shows
+WINDOW_MARGIN = 0.05  # share of the window's sides that is added on every side
+ALIGNMENT = 16  # pixels: windows begin and end at whole pixels of smaller photos too
+LEAST_SIDE = 64  # pixels
+MOST_SIZES = 8  # of a block's windows: each is a recorded frame, anew after every round of growth
+MOST_STEPS = 32  # of the sides of windows in a photo's longest side, so that few sizes differ
+MOST_COUNTED = 20_000  # gaussians for which shares are counted
+
+Window = tuple[int, int, int, int]  # left, top, right, bottom, pixels
+
 
 @dataclass(frozen=True, eq=False)
 class BlockStart:
@@ -196,3 +206,102 @@ def seen_pixels(scene: Scene, region: Region, views: Sequence[View]) -> int:
                         for weights in (reached[point], None))
     share = dict(zip((view.name for view in scene.views), inside / np.maximum(all_, 1)))
     return int(pixels @ [share[view.name] for view in views])
+
+
+def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]
+                 ) -> dict[str, Window]:
+    """The window of each view that shows what `region` reaches; they have few different sizes.
+
+    Outside its window a photo shows frozen gaussians only, so the block does not read that part.
+    Views without an entry are read whole: those whose window is the whole photo, and those that
+    show none of these gaussians, which were assigned because their camera stands in the cell.
+
+    Parameters
+    ----------
+    gaussians : the coarse model, in the local frame of `scene`.
+    scene : the whole scene.
+    region : the block's cell and margin.
+    views : of the block, of full size.
+    """
+    positions = gaussians.positions.astype(np.float64)
+    positions = positions[region.reaches(world_of(scene, positions))]
+    windows, near = dict[str, Window](), scene.near_plane
+    for view in views:
+        size = np.array([view.camera.width, view.camera.height])
+        pixels = _shown_pixels(view, positions, near)[0]
+        if not len(pixels):
+            continue
+        low, high = np.quantile(pixels, WINDOW_QUANTILES, axis=0)
+        margin = np.maximum(WINDOW_MARGIN * (high - low), (LEAST_SIDE - (high - low)) / 2)
+        low = np.maximum(np.floor((low - margin) / ALIGNMENT).astype(int) * ALIGNMENT, 0)
+        high = np.minimum(np.ceil((high + margin) / ALIGNMENT).astype(int) * ALIGNMENT, size)
+        if (low > 0).any() or (high < size).any():
+            windows[view.name] = (*low.tolist(), *high.tolist())
+    return of_few_sizes(windows, views)
+
+
+def _shown_pixels(view: View, positions: NDArray[np.floating], near: float
+                 ) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
+    """The pixels [M, 2] of the positions [N, 3] that a view shows, and which these are, [N]."""
+    pixels, depths = view.camera.project(positions)
+    shown = (depths > near) & view.camera.contains(pixels)
+    return pixels[shown], shown
+
+
+def of_few_sizes(windows: dict[str, Window], views: Sequence[View], most: int = MOST_SIZES
+                 ) -> dict[str, Window]:
+    """Enlarge windows until they and the whole photos have at most `most` different sizes.
+
+    As long as there are more, those two sizes become one that adds the fewest pixels (Ward 1963,
+    with pixels in place of squared distances). Sizes in photos of different sizes are not joined.
+
+    Parameters
+    ----------
+    windows : by the names of their views.
+    views : of the block, of full size; those without a window are read whole.
+    most : number of sizes.
+    """
+    photos = np.array([(view.camera.width, view.camera.height) for view in views]).reshape(-1, 2)
+    boxes = np.array([windows.get(view.name, (0, 0, view.camera.width, view.camera.height))
+                      for view in views]).reshape(-1, 4)
+    low, high = boxes[:, :2], boxes[:, 2:]
+    step = ALIGNMENT * max(1, photos.max(initial=0) // (MOST_STEPS * ALIGNMENT))
+    sizes = np.minimum(-((low - high) // step) * step, photos)
+    while True:
+        kinds, kind, count = np.unique(np.hstack([photos, sizes]), axis=0, return_inverse=True,
+                                       return_counts=True)
+        kind = kind.ravel()  # numpy 2.0 returns a column
+        photo, size = kinds[:, :2], kinds[:, 2:]
+        joined = np.maximum(size[:, None], size)
+        pixels = size.prod(axis=1) * count
+        added = joined.prod(axis=2) * (count[:, None] + count) - pixels[:, None] - pixels
+        may_join = np.triu((photo[:, None] == photo).all(axis=2), 1)
+        if len(kinds) <= most or not may_join.any():
+            break
+        one, other = np.unravel_index(np.where(may_join, added, np.inf).argmin(), added.shape)
+        sizes[np.isin(kind, (one, other))] = joined[one, other]
+    start = (low + high - sizes) // (2 * ALIGNMENT) * ALIGNMENT  # around the middle
+    start = np.clip(start, np.maximum(high - sizes, 0), np.minimum(low, photos - sizes))
+    return {view.name: (*first.tolist(), *(first + size).tolist())
+            for view, first, size, photo in zip(views, start, sizes, photos)
+            if view.name in windows and (size < photo).any()}
+
+
+def owned_shares(owner: NDArray[np.integer], positions: NDArray[np.floating], views: Sequence[View],
+                 near: float, blocks: int) -> NDArray[np.float64]:
+    """[V, B]: the share of the gaussians shown by each view that each block owns.
+
+    Parameters
+    ----------
+    owner : int[N], the block of each gaussian, or -1.
+    positions : [N, 3] of the coarse model, in the views' frame.
+    views : V views of full size.
+    near : depth of the near plane.
+    blocks : their number B.
+    """
+    chosen = slice(None, None, max(1, -(-len(positions) // MOST_COUNTED)))
+    shares = np.zeros((len(views), blocks))
+    for row, view in zip(shares, views):
+        of = owner[chosen][_shown_pixels(view, positions[chosen], near)[1]]
+        row += np.bincount(of[of >= 0], minlength=blocks) / max(len(of), 1)
+    return shares

@@ -3,36 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.partition.blockgs import blockgs
-from clsplat.partition.citygs import citygs
-from clsplat.partition.grid import choose_grid, elongation, makespan, squarest
+from clsplat.errors import InputError
 from clsplat.partition.input import PartitionInput
+from clsplat.partition.methods import METHODS, DropTest
 from clsplat.partition.partition import Cells, Partition
-from clsplat.partition.starved import join_starved, refuse_starved
-from clsplat.partition.tracks import seen_by_tracks
-from clsplat.partition.vastgs import vastgs
+from clsplat.partition.region import Region
 
 if TYPE_CHECKING:
     from clsplat.gaussians import Gaussians
     from clsplat.partition.options import PartitionOptions
-    from clsplat.partition.region import Region
     from clsplat.scene import Scene
-
-METHODS = {"citygs": citygs, "blockgs": blockgs, "vastgs": vastgs}
-
-MOST_BLOCKS_A_WORKER = 4  # with more, the sizes of blocks hardly matter
-MOST_ELONGATED = 2.0  # sides of the cells of a finer grid: long borders are long seams
-WORTH = 1.1  # a finer grid must end earlier by this
-
-# 1 - SSIM between the render of all gaussians and that of those where the mask bool[M] is true, in
-# the view with this index in scene.views
-DropTest = Callable[[Iterable[tuple[int, NDArray[np.bool_]]]], Iterable[float]]
 
 
 def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians | None = None,
@@ -46,7 +33,7 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
     options : the method and its numbers.
     gaussians : a coarse model in the scene's local frame. None: the sparse points are used.
     views : indices into scene.views of the training views. None: all.
-    drop : see `citygs`.
+    drop : see `methods.citygs`.
     weights : [N], how much each gaussian counts. None: all the same.
 
     Raises
@@ -54,59 +41,35 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
     InputError : the grid has a starved block, or the bounds contain no points.
     """
     data = PartitionInput.of(scene, gaussians, views, options.up, options.bounds, weights)
-    grid = options.grid or _chosen_grid(data, options)
+    low, high = data.content_box()
+    side = np.maximum((high - low)[:2], np.finfo(float).tiny)
+    grid = options.grid or choose_grid(options.needed, side[0] / side[1])
     regions, assigned = METHODS[options.method](data, grid, options, drop)
     notes = []
     if len(regions) < grid[0] * grid[1]:
         notes.append(f"{grid[0] * grid[1]} blocks were requested, but the scene can only be cut "
                      f"into {len(regions)}")
     if options.grid is not None and options.starved == "refuse" and len(regions) > 1:
-        refuse_starved(data, options, grid, regions, assigned)
+        _refuse_starved(data, options, grid, regions, assigned)
     else:
-        regions, assigned, joined = join_starved(data, options, regions, assigned)
+        regions, assigned, joined = _join_starved(data, options, regions, assigned)
         notes += joined
     return Partition(options.method, tuple(regions),
                      tuple(data.views[np.flatnonzero(row)] for row in assigned),
                      _dropped(data, regions, assigned), tuple(notes))
 
 
-def _chosen_grid(data: PartitionInput, options: PartitionOptions) -> tuple[int, int]:
-    """The smallest grid that fits, or a finer one after which the workers end earlier.
+def choose_grid(needed: int, aspect: float) -> tuple[int, int]:
+    """The smallest grid along u and v with at least `needed` cells that are nearly square.
 
-    Blocks differ in work, and with one block a worker the largest decides. More of them balance
-    better, but share more views.
+    `aspect` is the side along u divided by the side along v.
     """
-    low, high = data.content_box()
-    side = np.maximum((high - low)[:2], np.finfo(float).tiny)
-    aspect, needed = side[0] / side[1], options.needed
-    if options.workers == 1 or needed > options.workers * MOST_BLOCKS_A_WORKER:
-        return choose_grid(needed, aspect)
-    most = max(needed, options.most_blocks)
-    counts = range(needed, min(needed + 2 * options.workers, most) + 1)
-    grids = dict.fromkeys(grid for count in counts for grid in (
-        choose_grid(count, aspect), squarest(count, aspect))
-        if options.method == "blockgs"  # of which only the number of cells counts
-        or elongation(grid, aspect) <= MOST_ELONGATED or grid == choose_grid(needed, aspect))
-    ends = {grid: makespan(expected_work(data, grid, options), options.workers)
-            for grid in grids if math.prod(grid) <= most or grid == next(iter(grids))}
-    return min((grid for grid in ends if ends[grid] <= WORTH * min(ends.values())), key=math.prod)
+    shapes = [(n, math.ceil(needed / n)) for n in range(1, needed + 1)]
 
-
-def expected_work(data: PartitionInput, grid: tuple[int, int], options: PartitionOptions
-                  ) -> NDArray[np.float64]:
-    """[B]: the steps of each block of a grid times what a step costs; the unit is arbitrary.
-
-    Steps are as many as views, by the tracks of the sparse points. About half of a step's time is
-    for its pixels, and does not depend on the gaussians that the block trains; which half is taken
-    from the mean block.
-    """
-    regions, assigned = METHODS[options.method](data, grid, options, None)
-    regions, *_ = join_starved(data, options, regions, assigned)
-    coordinates = regions[0].space.to(data.content)
-    trained = [region.grown(region.margin) for region in regions]
-    gaussians = np.array([data.weights[region.holds(coordinates)].sum() for region in trained])
-    views = seen_by_tracks(data, trained).sum(axis=1)
-    return np.asarray(views * (data.weights.sum() / options.needed + gaussians), np.float64)
+    def cost(shape: tuple[int, int]) -> float:  # of additional cells, and of elongated ones
+        n, m = shape
+        return math.log(n * m / needed) + abs(math.log(aspect * m / n))
+    return min(shapes, key=cost)
 
 
 def _dropped(data: PartitionInput, regions: list[Region], assigned: NDArray[np.bool_]
@@ -121,3 +84,81 @@ def _dropped(data: PartitionInput, regions: list[Region], assigned: NDArray[np.b
             f"its {points.sum():,} points lie in {(points > 0).sum()} blocks, at most "
             f"{points.max():,} in one" if points.any() else "it sees no point of the sparse model")
     return reasons
+
+
+def _refuse_starved(data: PartitionInput, options: PartitionOptions, grid: tuple[int, int],
+                    regions: Sequence[Region], assigned: NDArray[np.bool_]) -> None:
+    """Raise InputError if a block has fewer views or gaussians than the options require."""
+    counts = _counts(data, regions)
+    starved = np.flatnonzero(_starved(options, counts, assigned))
+    if len(starved):
+        first = starved[0]
+        others = f" (and {len(starved) - 1} more)" if len(starved) > 1 else ""
+        raise InputError(
+            f"{data.scene.name}: block {first}{others} of the {grid[0]}x{grid[1]} grid is starved: "
+            f"{_contents(counts[first], assigned[first])}, it needs "
+            f"{options.least_gaussians:,} and {options.least_views}; use a smaller --grid, or "
+            "--starved join")
+
+
+def _join_starved(data: PartitionInput, options: PartitionOptions, regions: Sequence[Region],
+                  assigned: NDArray[np.bool_]) -> tuple[list[Region], NDArray[np.bool_], list[str]]:
+    """Join starved blocks one by one, those with the least content first.
+
+    Each is joined to the neighbour with the least content among those with which it makes a box.
+    The blocks keep their order. Returns the regions, bool[B, V] with the views that are assigned
+    to each, and one note for each block that was joined or could not be.
+    """
+    cells, counts, views = list(regions), _counts(data, regions).tolist(), list(assigned)
+    notes: list[str] = []
+    alone: list[Region] = []  # starved blocks that have no such neighbour
+    while len(cells) > 1:
+        starved = [block for block in np.flatnonzero(_starved(options, counts, np.array(views)))
+                   if cells[block] not in alone]
+        if not starved:
+            break
+        poorest = int(min(starved, key=counts.__getitem__))
+        unions = {other: union for other, region in enumerate(cells)
+                  if (union := _union(cells[poorest], region)) is not None}
+        contents = _contents(counts[poorest], views[poorest])
+        if not unions:
+            notes.append(f"a block stays starved, no neighbour makes a box with it: {contents}")
+            alone.append(cells[poorest])
+            continue
+        other = min(unions, key=counts.__getitem__)
+        first, last = min(poorest, other), max(poorest, other)
+        cells[first] = unions[other]
+        counts[first] += counts.pop(last)
+        views[first] = views[first] | views.pop(last)
+        del cells[last]
+        notes.append(f"a starved block was joined to its neighbour: {contents}")
+    return cells, np.array(views), notes
+
+
+def _counts(data: PartitionInput, regions: Sequence[Region]) -> NDArray[np.integer]:
+    """How much content each block owns, as int[B]."""
+    owner = Cells(regions).at(regions[0].space.to(data.content))
+    return np.bincount(owner[owner >= 0], minlength=len(regions))
+
+
+def _starved(options: PartitionOptions, counts: Sequence[int] | NDArray[np.integer],
+             assigned: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which blocks are starved, as bool[B]."""
+    starved: NDArray[np.bool_] = ((np.array(counts) < options.least_gaussians)
+                                  | (assigned.sum(axis=1) < options.least_views))
+    return starved
+
+
+def _contents(count: int, assigned: NDArray[np.bool_]) -> str:
+    return f"{count:,} gaussians and {assigned.sum()} views"
+
+
+def _union(a: Region, b: Region) -> Region | None:
+    """The union of two Regions that share a whole face; None for others."""
+    same = (a.low == b.low) & (a.high == b.high)
+    if same.sum() != 2:
+        return None
+    axis = int(np.argmin(same))
+    if a.high[axis] != b.low[axis] and b.high[axis] != a.low[axis]:
+        return None
+    return replace(a, low=np.minimum(a.low, b.low), high=np.maximum(a.high, b.high))

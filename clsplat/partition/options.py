@@ -34,7 +34,7 @@ class PartitionOptions:
     ----------
     expected : gaussians of the whole scene at the end of training; 0 if that is not known.
     least_blocks : the least number of blocks of a chosen grid.
-    workers : how many train blocks at the same time; a chosen grid is such that they end early.
+    workers : how many train blocks at the same time.
     least_gaussians : a block with fewer gaussians is starved.
 
     Raises

@@ -10,8 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from clsplat.errors import InputError
 from clsplat.io.scenes.read import read_scene
-from clsplat.partition import make
-from clsplat.partition.grid import makespan
 from clsplat.partition.input import PartitionInput
 from clsplat.partition.make import METHODS, make_partition
 from clsplat.partition.options import PartitionOptions
@@ -181,31 +179,6 @@ def test_the_chosen_grid_counts_margins():
     for least, blocks in ((2, 4), (6, 6)):  # one for each worker, or as many as are needed
         assert len(cut(scene, "blockgs", None, least_blocks=least, **needed).regions) == blocks
         assert len(cut(scene, "blockgs", None, least_blocks=least).regions) == least
-
-
-@pytest.mark.one_in(3)
-@EACH_METHOD
-def test_several_workers_get_the_blocks_after_which_they_end_first(method):
-    scene = field(cameras=60)
-    data = PartitionInput.of(scene)
-    for workers in (2, 3, 5):
-        options = PartitionOptions(method=method, least_blocks=workers, workers=workers)
-        alone = replace(options, workers=1)
-        ends = []
-        for given in (alone, options):
-            grid = make._chosen_grid(data, given)
-            ends.append(makespan(make.expected_work(data, grid, options), workers))
-            assert workers <= grid[0] * grid[1] <= 3 * workers
-        assert ends[1] <= ends[0]
-        if workers == 3:  # four blocks, two of them for one of the workers
-            assert ends[1] < 0.9 * ends[0]
-    few = replace(options, expected=500)  # enough for five blocks: no finer grid is tried
-    assert np.prod(make._chosen_grid(data, few)) <= np.prod(make._chosen_grid(data, alone))
-
-
-def test_the_longest_tasks_begin_first():
-    assert makespan([3, 5, 3, 4, 3], 2) == 10
-    assert makespan([3, 5], 1) == 8 and makespan([3, 5], 3) == 5
 
 
 @EACH_METHOD

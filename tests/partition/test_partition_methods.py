@@ -7,11 +7,11 @@ import pytest
 from scipy.special import softmax
 
 from clsplat.gaussians import Gaussians
-from clsplat.partition import blockgs, clusters
-from clsplat.partition.grid import best_cut, choose_grid
+from clsplat.partition import clusters, methods
 from clsplat.partition.input import PartitionInput
+from clsplat.partition.make import choose_grid
+from clsplat.partition.methods import _box, _meet, _rays, best_cut
 from clsplat.partition.region import Region, Space
-from clsplat.partition.vastgs import _box, _meet, _rays
 from tests.data.fields import SIDES, cut, field, moved, world
 from tests.data.gaussians_at import gaussians_at
 
@@ -67,10 +67,10 @@ def test_blocks_of_blockgs_hold_about_the_same_with_their_margins(count, monkeyp
 
     def fullest(counts):
         return counts.max() / counts.mean()
-    assert fullest(held()) <= blockgs.BALANCED
-    monkeypatch.setattr(blockgs, "MOST_SAMPLED", 10_000)
-    assert fullest(held()) <= 1.05 * blockgs.BALANCED
-    monkeypatch.setattr(blockgs, "ROUNDS", 1)
+    assert fullest(held()) <= methods.BALANCED
+    monkeypatch.setattr(methods, "MOST_SAMPLED", 10_000)
+    assert fullest(held()) <= 1.05 * methods.BALANCED
+    monkeypatch.setattr(methods, "ROUNDS", 1)
     assert fullest(held()) > 1.1
 
 

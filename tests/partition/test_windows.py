@@ -8,7 +8,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.cities.cut import visits_of_blocks
 from clsplat.gaussians import Gaussians
-from clsplat.partition.windows import of_few_sizes, owned_shares
+from clsplat.partition.blocks import of_few_sizes, owned_shares
 from clsplat.scene import View
 
 AT = np.zeros(3)

@@ -12,7 +12,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.models.tree import ORDER, Tree, writing_tree
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.tree import TreeRenderer
-from tests.city.test_lod import strip
+from tests.city.test_tree import strip
 from tests.data.made_tree import write_tree
 from tests.kernels.chain import camera_of, size_of, stored_degree
 from tests.rendering.test_slabs import downloaded, faint, same_to_rounding

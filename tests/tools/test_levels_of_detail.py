@@ -7,11 +7,8 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.scenes.read import read_scene
-from tests.city.test_lod_runs import run
 from tests.data.tiny_training import CITY
 from tools.studies.levels_of_detail import moved_away
-
-__all__ = ["run"]
 
 
 @pytest.fixture(scope="module")
