@@ -46,12 +46,8 @@ CITY = "city"  # key of block.json, and of these files: the fingerprint of the w
 def exchange_steps(steps: int, count: int) -> list[int]:
     """After how many of a block's steps it exchanges gaussians: evenly over their second half.
 
-    These are multiples of LOG_EVERY, when Adam has brought all rows up to the last step.
-
-    Parameters
-    ----------
-    steps : of the block.
-    count : number of exchanges, at most `most_exchanges(steps)`.
+    These are multiples of LOG_EVERY, when Adam has brought all rows up to the last step; `count` is
+    at most `most_exchanges(steps)`.
     """
     return [LOG_EVERY * round(steps * (1 + number / count) / 2 / LOG_EVERY)
             for number in range(count)]
@@ -67,8 +63,7 @@ def write_owned(block: BlockFolder, own: BlockScene, number: int, saved: Saved |
 
     Parameters
     ----------
-    block : its folder.
-    own : the block, as it was read.
+    block, own : its folder, and the block as it was read.
     number : of the exchange, from 1.
     saved : the checkpoint at the exchange; None: that of the block's run is read.
     """
@@ -86,12 +81,7 @@ def write_owned(block: BlockFolder, own: BlockScene, number: int, saved: Saved |
 
 
 def other_blocks(block: BlockFolder) -> list[BlockFolder]:
-    """The blocks with which a block exchanges gaussians.
-
-    Raises
-    ------
-    InputError : the block is not in the folder of its city.
-    """
+    """The blocks with which a block exchanges gaussians; InputError outside its city's folder."""
     city = CityFolder(block.path.absolute().parents[1])
     if not city.has_record:
         raise InputError(f"{block.path}: exchanges gaussians with the other blocks of its city; "
@@ -100,17 +90,8 @@ def other_blocks(block: BlockFolder) -> list[BlockFolder]:
 
 
 def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
-    """Names of the blocks without whose files a block cannot do an exchange.
-
-    Parameters
-    ----------
-    others : the `other_blocks` of the block.
-    number : of the exchange, from 1.
-
-    Raises
-    ------
-    InputError : another block is of another partition.
-    """
+    """Names of those `other_blocks` without whose files a block cannot do the exchange `number`;
+    InputError if one is of another partition."""
     for other in others:
         if other.is_there:
             other.check()
@@ -126,8 +107,7 @@ def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder]
 
     Parameters
     ----------
-    block : no file of the exchange lacks.
-    read : the block, as it was read.
+    block, read : no file of the exchange lacks; the block as it was read.
     others : its `other_blocks`.
     options : of its training.
     number : of the exchange, from 1.
@@ -137,6 +117,7 @@ def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder]
     arrays, state = run.load_checkpoint(lambda name: not _is_by_gaussian(name))
     scene = read.scene.reduced(options.downscale, options.max_resolution).normalised()
     region = read.region
+
     def taken_from(other: BlockFolder) -> Arrays:
         """What the block holds of another one."""
         owned = Owned(other, number, record)
@@ -160,15 +141,8 @@ def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder]
 
 
 class Owned:
-    """What a block owned at an exchange, in its file.
-
-    Raises InputError if the file is damaged, or of another city.
-
-    Parameters
-    ----------
-    block : that wrote the file.
-    number : of the exchange, from 1.
-    record : of the block that reads it.
+    """What a block owned at an exchange, in its file; InputError if that is damaged, or of another
+    city. `record` : of the block that reads it.
 
     Attributes
     ----------
@@ -198,11 +172,8 @@ class Owned:
     def arrays(self, indices: NDArray[np.integer] | None = None) -> Arrays:
         """Rows of gaussians with their moments and statistics; InputError if they are damaged.
 
-        Most of the file is moments, and other blocks need few of them.
-
-        Parameters
-        ----------
-        indices : int[K], ascending, of the gaussians; None: all.
+        Most of the file is moments, and other blocks need few of them. `indices` : int[K],
+        ascending, of the gaussians; None: all.
         """
         rows = self.rows if indices is None else {
             name: values[indices] for name, values in self.rows.items()}
@@ -219,14 +190,7 @@ class Owned:
 
 
 def _in_frame_of(scene: Scene, owned: Arrays, frame: dict[str, Any]) -> Arrays:
-    """Rows that a block owns, and their moments, in the frame of another block.
-
-    Parameters
-    ----------
-    scene : of that block.
-    owned : some or all arrays of an `Owned`.
-    frame : of the same.
-    """
+    """Some or all arrays of an `Owned`, with its frame, in the frame of another block's scene."""
     factor = frame["unit"] / scene.unit
     moved = dict(owned)
     for name in ("row.positions", "row.anchors"):

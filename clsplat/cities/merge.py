@@ -41,10 +41,9 @@ class Share:
     block : its number.
     state : merged; coarse, if the coarse model's gaussians are in its place; or the reason why it
         has no part: missing, unfinished, in training, starved, refused.
-    gaussians : number of its gaussians in the merged model.
-    trained : number of gaussians of its own model, with margin and surroundings.
-    views : number of its training views.
-    points : number of sparse points in its cell.
+    gaussians, trained : numbers of its gaussians in the merged model, and in its own, which has a
+        margin and surroundings.
+    views, points : numbers of its training views, and of sparse points in its cell.
     note : an explanation for people.
     """
 
@@ -109,8 +108,7 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False,
 
     Parameters
     ----------
-    city : its folder.
-    scene : the whole, as `read_scene` returns it.
+    city, scene : its folder; the whole, as `read_scene` returns it.
     fill : take the coarse model's gaussians for blocks that are missing, unfinished or starved, but
         not for a block that another process trains at this moment.
     keep : called with the gaussians of each block, which then are not in the result; None: they
@@ -154,12 +152,7 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False,
 
 def cropped(gaussians: Gaussians, partition: Partition, number: int,
             offset: NDArray[np.float64]) -> Gaussians:
-    """The gaussians that block `number` owns.
-
-    Parameters
-    ----------
-    offset : [3], world = coordinates of the gaussians + offset.
-    """
+    """The gaussians that block `number` owns; world = their coordinates + `offset` [3]."""
     kept = partition.owner(gaussians.positions.astype(np.float64) + offset) == number
     return Gaussians({f.name: gaussians.rows[f.name][kept] for f in LEARNED}, gaussians.sh_degree)
 

@@ -33,13 +33,8 @@ Node = tuple[int, Gaussians]  # its number and its content
 
 @dataclass
 class TreeBuilder:
-    """Builds a tree from blocks, which are added one after the other.
-
-    Attributes
-    ----------
-    writer : of the file.
-    cell : gaussians of a leaf at most.
-    """
+    """Builds a tree from blocks, which are added one after the other; `cell`: gaussians of a leaf
+    at most."""
 
     writer: TreeWriter
     cell: int = CELL
@@ -86,16 +81,7 @@ class TreeBuilder:
 
 
 def frequency(log_scales: NDArray[np.floating], opacity_logits: NDArray[np.floating]) -> float:
-    """The `robust_mean` of training/frequency.py, on the host; 0 without gaussians.
-
-    Parameters
-    ----------
-    log_scales : float[N, 3].
-    opacity_logits : float[N].
-
-    Returns
-    -------
-    In 1 / world unit.
+    """The `robust_mean` of training/frequency.py, on the host, in 1 / world unit; 0 without rows.
     """
     opacity = expit(opacity_logits.astype(np.float64))
     sigma = np.exp(log_scales.astype(np.float64)).mean(axis=1)
@@ -113,15 +99,9 @@ def facts_of(content: Gaussians) -> dict[str, Any]:
 
 def parted(positions: NDArray[np.floating], rows: NDArray[np.intp], most: int
            ) -> Iterator[NDArray[np.intp]]:
-    """Divide rows into two to FANOUT parts, each with its rows ascending.
+    """Divide rows, more than `most`, into two to FANOUT parts, each with its rows ascending.
 
     Parts of more than `most` rows are halved across the longest side of most of their positions.
-
-    Parameters
-    ----------
-    positions : float[N, 3].
-    rows : int[M], more than `most`.
-    most : at least 1.
     """
     parts = [rows]
     while len(parts) < FANOUT:
@@ -135,21 +115,9 @@ def parted(positions: NDArray[np.floating], rows: NDArray[np.intp], most: int
 
 def merge_tree(path: Path, city: CityFolder, scene: Scene, sh_degree: int, fill: bool = False
                ) -> Merged:
-    """Merge the finished blocks of a city into a tree.
+    """Merge the finished blocks of a city into a tree, and return what `merge` does.
 
-    Parameters
-    ----------
-    path : the file, which is replaced as a whole.
-    city, scene, fill : as for `merge.merge`.
-    sh_degree : of the gaussians.
-
-    Returns
-    -------
-    What `merge` returns, without gaussians.
-
-    Raises
-    ------
-    InputError : as `merge` and `Merged.check`; nothing is written then.
+    The file is replaced as a whole; other arguments and errors as for `merge` and `Merged.check`.
     """
     with writing_tree(path, sh_degree, scene.offset) as writer:
         builder = TreeBuilder(writer)

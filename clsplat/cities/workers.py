@@ -141,9 +141,11 @@ class Workers:
         """
         board = _Board(jobs, retries, ended)
         if not board.waiting:
-            return board.in_order()
-        pool: Pool = (self._cluster() if self.scheduler else
-                      self._processes() if self.several else _InProcess(here))
+            return board.all_outcomes()
+        if self.several and not self._pool:
+            self._pool = (Cluster(self.scheduler) if self.scheduler else
+                          _Processes(self.number, self.devices))
+        pool: Pool = self._pool or _InProcess(here)
         running: dict[Any, Job] = {}
         try:
             while running or board.can_begin:
@@ -161,24 +163,13 @@ class Workers:
             raise Interrupted(
                 f"stopped, {len(board.outcomes)} of {len(board.jobs)} jobs finished; the running "
                 "ones save their state, and the same command continues them") from None
-        board.give_up()  # what waits for a job that failed
-        return board.in_order()
+        return board.all_outcomes()
 
     def close(self) -> None:
         """End the processes; those that work save their state before."""
         if self._pool:
             self._pool.close()
             self._pool = None
-
-    def _processes(self) -> _Processes:
-        if not isinstance(self._pool, _Processes):
-            self._pool = _Processes(self.number, self.devices)
-        return self._pool
-
-    def _cluster(self) -> Cluster:
-        if not isinstance(self._pool, Cluster):
-            self._pool = Cluster(self.scheduler)
-        return self._pool
 
 
 class _Board:
@@ -194,7 +185,7 @@ class _Board:
         self.outcomes = {job.name: Outcome(job) for job in self.jobs if job.is_done}
         self.waiting = deque(job for job in self.jobs if job.name not in self.outcomes)
         self._tries, self._failures, self._losses = (Counter[str]() for _ in range(3))
-        self._seconds, self._began = Counter[str](), dict[str, float]()
+        self._seconds, self._began = dict[str, float](), dict[str, float]()
         for job in self.waiting:
             make_folder(job.folder)
 
@@ -215,7 +206,8 @@ class _Board:
     def settle(self, job: Job, future: Any, pool: Pool) -> None:
         """Note the end of a try: the job is finished, has finally failed, or waits again."""
         name, error, value, worker = job.name, None, None, HERE
-        self._seconds[name] += time.monotonic() - self._began[name]  # type: ignore[assignment]
+        self._seconds[name] = (self._seconds.get(name, 0.0) + time.monotonic()
+                               - self._began[name])
         try:
             value, worker = pool.result(future)
             if job.done and not job.is_done:
@@ -234,15 +226,10 @@ class _Board:
         if self._ended:
             self._ended(outcome)
 
-    def give_up(self) -> None:
-        """Give the jobs that still wait an Outcome, which is not reported."""
-        for job in self.waiting:
-            self.outcomes[job.name] = Outcome(job, error=InputError(
-                f"it waits for {self._awaited(job)}"))
-
-    def in_order(self) -> list[Outcome]:
-        """The outcomes in the order of the jobs."""
-        return [self.outcomes[job.name] for job in self.jobs]
+    def all_outcomes(self) -> list[Outcome]:
+        """Those of all jobs, in their order; of one that still waits, for which job."""
+        return [self.outcomes.get(job.name) or Outcome(job, error=InputError(
+            f"it waits for {self._awaited(job)}")) for job in self.jobs]
 
     def _awaited(self, job: Job) -> str:
         """The first job that must be finished before this one, and is not; "" if there is none."""
@@ -282,9 +269,7 @@ class _InProcess:
 
 class _Process:
     """A process of this machine, which is replaced after a job that fails: no job is begun by a
-    process of which something went wrong.
-
-    `device` : its CLSPLAT_DEVICE; "" for that of this process.
+    process of which something went wrong. `device` : its CLSPLAT_DEVICE; "" for that of this one.
     """
 
     def __init__(self, device: str = "") -> None:
@@ -297,12 +282,6 @@ class _Process:
     def is_free(self) -> bool:
         return self.future is None or self.future.done()
 
-    def _start(self) -> ProcessPoolExecutor:
-        self._executor = started = ProcessPoolExecutor(
-            1, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(self.device,))
-        self._pid = started.submit(os.getpid)
-        return started
-
     def submit(self, job: Job) -> Future[Any]:
         """Run a job, in a new process if there is none, or the latest job failed."""
         if self.future and self.future.exception():
@@ -312,6 +291,12 @@ class _Process:
         except BrokenProcessPool:  # it was killed while it had no job
             self.future = self._start().submit(_work, job)
         return self.future
+
+    def _start(self) -> ProcessPoolExecutor:
+        self._executor = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"),
+                                             initializer=_begin, initargs=(self.device,))
+        self._pid = self._executor.submit(os.getpid)
+        return self._executor
 
     def interrupt(self) -> None:
         """Let it save its state, and end."""
@@ -354,14 +339,10 @@ class _Processes:
             raise RuntimeError("its process was killed, or crashed") from None
 
     def close(self) -> None:
-        """End the processes; those that work save their state before."""
         for process in self.all:
             process.interrupt()
         for process in self.all:
             process.close()
-
-
-# --- in a process
 
 
 def _begin(device: str) -> None:
