@@ -89,32 +89,28 @@ def geojson(partition: Partition, scene: Scene, facts: Sequence[dict[str, Any]] 
     """A GeoJSON FeatureCollection with a polygon for each block and a point for each camera.
 
     Coordinates are those of `Space.map`, in world units, not geographic ones. Unbounded cells end
-    a little beyond everything else.
-
-    Parameters
-    ----------
-    partition : the blocks.
-    scene : the whole scene.
-    facts : for each block more properties of its polygon, such as its number of gaussians.
+    a little beyond everything else. `facts` : for each block more properties of its polygon.
     """
     low, high = extent(partition, scene)
-    features = []
+    features: list[dict[str, Any]] = []
+
+    def add(kind: str, coordinates: list[Any], properties: dict[str, Any]) -> None:
+        features.append({"type": "Feature", "properties": properties,
+                         "geometry": {"type": kind, "coordinates": coordinates}})
+
     for block, (region, views) in enumerate(zip(partition.regions, partition.views)):
         ring = outline(region, low, high)
         rings = [[*ring.tolist(), ring[0].tolist()]] if len(ring) else []
-        features.append(_feature("Polygon", rings, {
-            "block": block, "views": len(views), **(facts[block] if facts else {})}))
+        add("Polygon", rings, {"block": block, "views": len(views),
+                               **(facts[block] if facts else {})})
     blocks = np.zeros(len(scene.views), int)
     for views in partition.views:
         blocks[views] += 1
     for index, view in enumerate(scene.views):
         place = partition.space.map(world_of(scene, view.camera.position))[0]
-        features.append(_feature("Point", place.tolist(), {
-            "view": view.name, "blocks": int(blocks[index]),
-            **({"dropped": partition.dropped[index]} if index in partition.dropped else {})}))
+        dropped = partition.dropped.get(index)
+        add("Point", place.tolist(), {"view": view.name, "blocks": int(blocks[index]),
+                                      **({"dropped": dropped} if dropped else {})})
     return {"type": "FeatureCollection", "features": features}
 
 
-def _feature(kind: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates},
-            "properties": properties}

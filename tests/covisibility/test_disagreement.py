@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.covisibility.disagreement import colour_disagreement
+from clsplat.covisibility.photometry import colour_disagreement
 from clsplat.training import photos
 from clsplat.training.photos import Thumbnails
 from clsplat.training.start import prepare as module

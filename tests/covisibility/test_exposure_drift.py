@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.covisibility import exposure_drift as drift
-from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
+from clsplat.covisibility.photometry import DRIFTS, exposure_drift
 from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
 from clsplat.training.photos import decoded
@@ -76,7 +75,7 @@ def test_hidden_points_do_not_count(monkeypatch):
     aside = replace(aside, camera=replace(aside.camera, translation=np.array([0, 0, 0.5 - DEPTH])))
     views, photos = [a_view(), aside] * 4, [photo, brightened(photo, 0) + np.uint8(20)] * 4
     assert exposure_drift(views, photos, both, of_both) == 0
-    monkeypatch.setattr(drift, "OCCLUSION_DEPTH", np.inf)
+    monkeypatch.setattr("clsplat.covisibility.photometry.OCCLUSION_DEPTH", np.inf)
     assert exposure_drift(views, photos, both, of_both) > DRIFTS
 
 

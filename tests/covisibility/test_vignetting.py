@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.covisibility.vignetting import corner_darkening
+from clsplat.covisibility.photometry import corner_darkening
 from clsplat.response import Response, corner_radius
 from clsplat.scene import View
 

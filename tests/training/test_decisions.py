@@ -8,8 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clsplat.covisibility.exposure_drift import DRIFTS
-from clsplat.covisibility.vignetting import DARKENS
+from clsplat.covisibility.photometry import DARKENS, DRIFTS
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import write_ply

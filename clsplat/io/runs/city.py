@@ -1,8 +1,7 @@
 """The folder of a large scene's training: the only code with its file names.
 
-It holds the coarse run, the partition, the blocks and the merged model, which may be made on
-several machines. Every file and every block appears whole or not at all, so that the same command
-can continue after a kill at any moment.
+Every file and every block appears whole or not at all, so that the same command can continue after
+a kill at any moment.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from clsplat.io.scenes.write import link_again, write_scene
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region
 from clsplat.response import Response
-from clsplat.scene import Scene, View
+from clsplat.scene import Scene
 
 PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
 PICTURE = "partition.png"  # the partition as an image
@@ -42,12 +41,12 @@ INITIAL = "initial.ply"
 
 
 class CityFolder:
-    """A run folder that also has the coarse run, the partition, the blocks and the levels of
-    detail of a city. Errors are InputError.
+    """A run folder that also has the coarse run, the partition and the blocks of a city. Errors are
+    InputError.
 
     Attributes
     ----------
-    coarse, lod : folders of the coarse run and of the levels of detail.
+    coarse : folder of the coarse run.
     undistorted : folder of the undistorted photos of a scene that needs them.
     dense : the PLY of the gaussians at dense points, where the city has them.
     joint, joint_start : the run of the joint training, and the PLY of the points at which it
@@ -57,7 +56,7 @@ class CityFolder:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.coarse, self.lod = self.path / "coarse", self.path / "lod"
+        self.coarse = self.path / "coarse"
         self.undistorted, self.dense = self.path / UNDISTORTED, self.path / "dense.ply"
         self.joint, self.joint_start = self.path / "joint", self.path / "joint_start.ply"
         self.map, self.picture = self.path / "partition.geojson", self.path / PICTURE
@@ -104,8 +103,7 @@ class CityFolder:
 
     def read_partition(self) -> dict[str, Any]:
         """Read partition.json."""
-        path, cure = self.path / PARTITION, f"make it with `clsplat partition {self.path}`"
-        return _read(path, {}, cure)
+        return _read(self.path / PARTITION, {}, f"make it with `clsplat partition {self.path}`")
 
     def partition(self, scene: Scene | None = None) -> Partition:
         """The partition; InputError if it is damaged, or not of this whole scene."""
@@ -139,24 +137,17 @@ class CityFolder:
                     initial: Gaussians, exposures: Mapping[str, Response] | None,
                     options: Mapping[str, Any], identity: Mapping[str, Any],
                     visits: Mapping[str, float] | None = None) -> BlockFolder:
-        """Write a block as an ordinary scene folder.
+        """Write a block as an ordinary scene folder, with links to photos.
 
-        Photos are linked. An existing block is left as it is.
+        An existing block is left as it is; InputError if it is of another partition.
 
         Parameters
         ----------
-        scene : the whole, as `read_scene` returned it.
-        views : indices into its views.
+        scene, views : the whole, as `read_scene` returned it, and indices into its views.
         windows : parts of photos, see `Scene.cropped`.
         initial : in the scene's frame.
-        exposures : responses of views, by name.
-        options : of the block's training, for block.json.
-        identity : for block.json, `identity()` and other facts about the block.
-        visits : of the views, by name (`city.scene.BlockScene`); None: all alike.
-
-        Raises
-        ------
-        InputError : the existing block is of another partition, or the new one cannot be written.
+        exposures, visits : responses of views, and how often these are visited, by name.
+        options, identity : for block.json: of the training; `identity()` and other facts.
         """
         block = self.block(number)
         record = json.loads(json.dumps({"number": number, **identity, "options": options}))
@@ -295,27 +286,18 @@ class BlockFolder:
 
 def cropped_to_windows(scene: Scene, folder: Path) -> Scene:
     """The scene of its folder, with views cropped to the windows there if it is a block's."""
-    if not (folder / REGION).is_file():
-        return scene
     path = folder / REGION
+    if not path.is_file():
+        return scene
     windows = _read(path, {WINDOWS: dict}, "partition the city again")[WINDOWS]
-    try:
-        for view in scene.views:
-            _check_window(view, windows.get(view.name))
-    except ValueError as error:
-        raise InputError(f"{path}: damaged ({reason(error)}); partition the city again") from None
+    for view in scene.views:
+        window = windows.get(view.name, [0, 0, view.camera.width, view.camera.height])
+        four = type(window) is list and [type(end) for end in window] == 4 * [int]
+        if not (four and 0 <= window[0] < window[2] <= view.camera.width
+                and 0 <= window[1] < window[3] <= view.camera.height):
+            raise InputError(f"{path}: damaged (the window of {view.name} is not four integers "
+                             "within its photo); partition the city again")
     return scene.cropped(windows)
-
-
-def _check_window(view: View, window: Any) -> None:
-    """ValueError for a window that is not a part of a view's photo."""
-    if window is None:
-        return
-    if type(window) is not list or [type(end) for end in window] != 4 * [int]:
-        raise ValueError(f"the window of {view.name} is not four integers")
-    left, top, right, bottom = window
-    if not (0 <= left < right <= view.camera.width and 0 <= top < bottom <= view.camera.height):
-        raise ValueError(f"the window of {view.name} is not within its photo")
 
 
 def _read(path: Path, kinds: Mapping[str, type], cure: str) -> dict[str, Any]:

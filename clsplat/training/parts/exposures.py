@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsplat.config.option import AUTO
-from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
-from clsplat.covisibility.vignetting import DARKENS, corner_darkening
+from clsplat.covisibility.photometry import DARKENS, DRIFTS, corner_darkening, exposure_drift
 from clsplat.errors import InputError
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.options import ExposureOptions

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from clsplat.config.option import AUTO, MOST_STEPS, is_auto
-from clsplat.covisibility.disagreement import colour_disagreement
+from clsplat.covisibility.photometry import colour_disagreement
 from clsplat.covisibility.source_views import ViewSpread, photos_of_a_point, view_spread
 from clsplat.device import Device
 from clsplat.errors import InputError

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.constants import ALPHA_STEPS
-from clsplat.covisibility.exposure_drift import LUMA
+from clsplat.covisibility.photometry import LUMA
 from clsplat.scene import LEAST_PARALLAX, Scene, View
 from clsplat.training.photos import Thumbnails
 
