@@ -10,10 +10,9 @@ import pytest
 
 from clsplat.cities import block as block_module
 from clsplat.cities import city as cities
-from clsplat.cities import cut, forecast, run
+from clsplat.cities import cut
 from clsplat.cities.city import City
 from clsplat.cities.run import chosen_partition
-from clsplat.cities.scene import BlockScene
 from clsplat.cli.main import main
 from clsplat.errors import OutOfDeviceMemory
 from clsplat.io.models.ply import read_ply
@@ -153,16 +152,6 @@ def cut_again(folder, *flags):
     command("partition", folder.path, "--grid", "2x1", "--least-views", 3, *flags)
 
 
-def test_the_blocks_of_a_city_take_no_more_steps_than_photos_allow(copy):
-    before = steps_of_blocks(copy)
-    record = copy.read()
-    record["options"]["visits"] = 1.0
-    copy.write(record)
-    cut_again(copy)
-    # 28 training photos, in place of 60 steps
-    assert abs(steps_of_blocks(copy) - before * 28 / 60) <= 1
-
-
 def pictures(folder, out, *words):
     """float[K, H, W, 3], 0 to 1: the held-out views, as `clsplat render` draws them."""
     command("render", folder.path, "--views", "test", "-o", out, "--device", DEVICE, *words)
@@ -193,18 +182,6 @@ def test_a_tree_is_drawn_as_the_model_it_replaces(copy, tmp_path, capsys):
     assert "point_cloud.tree: no such file" in capsys.readouterr().err
     command("merge", copy.path, "--tree", "--against", copy.coarse, code=2)
     assert "--against: has no effect with --tree" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_blocks_see_the_parts_of_photos_that_show_them(made):
-    whole = {view.name: view.camera for view in read_scene(CITY).views}
-    for block in made.blocks():
-        shares = [view.camera.width * view.camera.height / (320 * 240)
-                  for view in read_scene(block.path).views]
-        assert min(shares) < 0.6 and np.mean(shares) < 0.95
-        for view in read_scene(block.path).views:
-            assert (view.camera.whole is None) == (view.camera.width * view.camera.height == (
-                whole[view.name].width * whole[view.name].height))
 
 
 def test_a_chosen_grid_has_a_block_a_worker(tmp_path):
@@ -266,15 +243,6 @@ def test_a_missing_block_is_named_and_may_be_filled(copy, capsys):
     assert "unfinished: its run has no model yet" in (copy.path / "report.html").read_text()
 
 
-@pytest.mark.slow
-def test_photos_of_a_block_that_are_gone_are_named(copy, capsys):
-    shutil.rmtree(copy.block(1).run)
-    next((copy.block(1).path / "images").iterdir()).unlink()
-    city(copy.path, code=2)
-    error = capsys.readouterr().err
-    assert "block 001 failed" in error and "images" in error and "001 unfinished" in error
-
-
 @pytest.mark.parametrize("flags, cause", [
     (("--grid", "1x2"), "was cut with grid [2, 1], not [1, 2]"),
     (("-n", "70"), "was begun with iterations 60"),
@@ -282,23 +250,6 @@ def test_photos_of_a_block_that_are_gone_are_named(copy, capsys):
 def test_other_options_are_refused(copy, capsys, flags, cause):
     city(copy.path, *flags, code=2)
     assert cause in capsys.readouterr().err
-
-
-def test_a_block_of_another_city_is_refused(copy, capsys):
-    path = copy.block(1).path / "block.json"
-    record = json.loads(path.read_text())
-    path.write_text(json.dumps({**record, "city": "0" * 64}))
-    command("merge", copy.path, code=2)
-    assert "of another city" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_starving_grid_and_empty_bounds_are_refused(copy, capsys):
-    (copy.path / "partition.json").unlink()
-    command("partition", copy.path, "--grid", "6x6", code=2)
-    assert "is starved" in capsys.readouterr().err
-    command("partition", copy.path, "--grid", "2x1", "--bounds", 900, 900, 901, 901, code=2)
-    assert "no points within the bounds" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -343,19 +294,3 @@ def test_two_workers_end_in_the_same(copy):
     city(copy.path, "--workers", "2")
     assert model(copy) == before
     assert len(scored) == 2 and scores() == scored
-
-
-def test_responses_of_the_coarse_run_reach_the_blocks(tmp_path, monkeypatch):
-    folder, table = CityFolder(tmp_path), forecast.block_table
-    monkeypatch.setattr(run, "block_table",  # no steps are timed
-                        lambda city, _, counts: table(city, None, counts))
-    command("train", CITY, "--coarse", "-n", "12", "-r", "8", "--sh-degree", "0", "--exposure",
-            "on", "--device", DEVICE, "-q", "-o", folder.coarse)
-    command("partition", folder.path, "--grid", "2x1", "--least-views", "3", "--method", "blockgs")
-    learned = RunFolder(folder.coarse).load_exposures()
-    blocks = [BlockScene.read(block) for block in folder.blocks()]
-    assert len(blocks) == 2
-    for scene in blocks:
-        assert scene.responses.keys() == {view.name for view in scene.scene.views}
-        for name, response in scene.responses.items():
-            assert np.allclose(response.transform, learned[name].transform)

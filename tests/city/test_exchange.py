@@ -31,7 +31,7 @@ from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
-from clsplat.training.checkpoint import Checkpoint, gaussians_of
+from clsplat.training.checkpoint import Checkpoint
 from tests.data.tiny_training import CITY, model_digest
 
 OPTIONS = {"iterations": 130, "downscale": 8.0, "test_every": 0, "schedule": "constant",
@@ -176,15 +176,6 @@ def test_parts_that_cannot_be_used_are_named(city):
     shutil.move(block.path, city.path.parent / "far" / "away" / "000")
     with pytest.raises(InputError, match="with --alone"):
         other_blocks(type(block)(city.path.parent / "far" / "away" / "000"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["statistics.grad_norm_sum", "v.log_scales", "row.quaternions"])
-def test_arrays_of_another_length_are_refused(city, name):
-    arrays, _ = RunFolder(city.block(0).run).load_checkpoint()
-    gaussians_of(arrays, 1)
-    with pytest.raises(ValueError, match=name):
-        gaussians_of({**arrays, name: arrays[name][:-1]}, 1)
 
 
 def test_exchanges_lie_in_the_second_half():

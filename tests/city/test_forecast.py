@@ -114,33 +114,6 @@ def test_steps_of_the_coarse_run_are_known_on_its_device(monkeypatch):
     assert known() == [], "two steps do not tell three numbers"
 
 
-@pytest.mark.parametrize("seconds, tried", [(0.1, False), (1.0, True)])
-def test_short_trainings_are_foretold_without_trial_steps(monkeypatch, seconds, tried):
-    """Two blocks of 1000 steps: 200 seconds in all, and 2000."""
-    record = {"own": 10, "margin": 4, "surroundings": 0, "views": 8,
-              "options": {"iterations": 1000}}
-    city = SimpleNamespace(blocks=lambda: [
-        SimpleNamespace(path=Path(f"{n:03d}"), read=lambda *_: record) for n in (1, 2)])
-    asked = []
-
-    def planned(known=()):
-        asked.append(list(known))
-        return SimpleNamespace(seconds=1000 * seconds, steps=1000, gaussians=28,
-                               memory=SimpleNamespace(total=2**20))
-
-    block = SimpleNamespace(scene=None, parts=lambda _: ())
-    for name, value in (("Planned", lambda *_, parts: SimpleNamespace(forecast=planned)),
-                        ("BlockScene", SimpleNamespace(read=lambda _: block)),
-                        ("block_options", lambda _: SimpleNamespace(exposure="on")),
-                        ("coarse_steps", lambda *_: [(1.0, 1.0, seconds)])):
-        monkeypatch.setattr(forecast_module, name, value)
-    (note, *_) = block_table(city, a_card(2**33), [10, 10]).notes
-    assert asked == [[(1.0, 1.0, seconds)], []][:1 + tried]
-    assert ("from steps of block 001" in note) == tried
-    assert ("from steps of the coarse run" in note) != tried
-    assert f"All blocks take {2000 * seconds / 60:.1f} minutes" in note
-
-
 def test_a_scene_that_fits_in_one_block_needs_no_city():
     def note(**chosen):
         return one_block_note(PartitionOptions(**{"expected": 10**6, **chosen}), Path("my scene"))

@@ -1,21 +1,17 @@
 """A part of a city is what it says it is: files of another block, partition or city are refused."""
 
-import shutil
 
 import numpy as np
 import pytest
 
 from clsplat.cities.city import City
-from clsplat.cities.exchange import Owned
 from clsplat.cities.joint import begin_with, train_jointly
 from clsplat.cities.merge import merge
-from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.models.ply import START, start_comment, start_of, write_ply
+from clsplat.io.models.ply import start_comment, write_ply
 from clsplat.io.records import digest_of
 from clsplat.io.runs.city import CityFolder
-from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.partition import Partition
@@ -75,15 +71,10 @@ def exchanged(first, second):
 
 
 WAYS = {  # what is exchanged -> the states of the two blocks
-    "runs": (lambda city, earlier: exchanged(city.block(0).run, city.block(1).run), 2),
     "models": (lambda city, earlier: exchanged(city.block(0).run / "point_cloud.ply",
                                                city.block(1).run / "point_cloud.ply"), 2),
-    "one model": (lambda city, earlier: shutil.copy(city.block(0).run / "point_cloud.ply",
-                                                    city.block(1).run), 1),
     "run of an earlier partition": (lambda city, earlier: exchanged(city.block(0).run,
                                                                     earlier.block(0).run), 1),
-    "model of an earlier partition": (lambda city, earlier: shutil.copy(
-        earlier.block(1).run / "point_cloud.ply", city.block(1).run), 1),
     "block of an earlier partition": (lambda city, earlier: exchanged(city.block(0).path,
                                                                       earlier.block(0).path), 1),
 }
@@ -108,18 +99,6 @@ def test_whole_blocks_exchanged_are_refused(city, scene):
         merge(city, scene)
 
 
-def test_a_block_that_fits_another_partition_too_is_taken(city, scene, tmp_path):
-    """The same cell with the same initial gaussians: its model is as good here."""
-    again = cut_in_two(tmp_path / "again", scene)
-    shutil.copy(again.block(0).run / "point_cloud.ply", city.block(0).run)
-    merge(city, scene).check()
-
-
-def test_a_model_is_taken_without_the_points_at_which_it_began(city, scene):
-    city.block(0).initial.unlink()
-    merge(city, scene).check()
-
-
 def test_a_joint_training_of_another_city_is_refused(city, scene):
     merged = merge(city, scene)
     city.write_partition({**city.read_partition(), "joint": {"iterations": 9}})
@@ -130,35 +109,3 @@ def test_a_joint_training_of_another_city_is_refused(city, scene):
         train_jointly(whole, merged)
     save(city.joint, merged.gaussians, scene, digest_of(city.joint_start))
     assert train_jointly(whole, merged).count == merged.count
-
-
-@pytest.mark.slow
-def test_a_trained_city_refuses_exchanged_parts_and_keeps_its_model(tmp_path, capsys):
-    folder = CityFolder(tmp_path / "city")
-
-    def clsplat(*words):
-        with pytest.raises(SystemExit) as ended:
-            main([*map(str, words)])
-        return ended.value.code, capsys.readouterr().err
-
-    words = ("city", CITY, "-r", "8", "-n", "300", "--grid", "2x1", "--exchanges", "1",
-             "--joint-steps", "none", "--workers", "1", "-o", folder.path, "-q")
-    assert clsplat(*words)[0] == 0
-    first, second = folder.blocks()
-    for block in (first, second):
-        assert start_of(block.run / "point_cloud.ply") == block.start()
-        assert RunFolder(block.run).read_options()[START] == block.start()
-    model = (folder.path / "point_cloud.ply").read_bytes()
-    exchanged(first.run, second.run)
-    for command in (words, ("merge", folder.path), ("merge", folder.path, "--fill"),
-                    ("merge", folder.path, "--tree", "--overwrite")):
-        code, error = clsplat(*command)
-        assert code == 2 and error.count("\n") == 1, error
-    assert "of another block" in error or "No such option" in error
-    assert (folder.path / "point_cloud.ply").read_bytes() == model
-    exchanged(first.run, second.run)
-    record = first.read()
-    Owned(second, 1, record)
-    exchanged(first.exchanged(1), second.exchanged(1))
-    with pytest.raises(InputError, match="of another block or partition"):
-        Owned(second, 1, record)

@@ -16,7 +16,7 @@ from clsplat.cities import cluster
 from clsplat.cities.cluster import Cluster
 from clsplat.cities.jobs import HERE, Lost
 from clsplat.cities.workers import LOG, MOST_LOSSES, Workers
-from clsplat.errors import InputError, Interrupted, OutOfDeviceMemory
+from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.io.lock import exclusive
 from tests.city.jobs_driver import (
     DONE,
@@ -100,14 +100,6 @@ def test_failures_are_reported_and_the_other_jobs_run(tmp_path, error, tries, me
     assert error is None or bad.error is error
 
 
-def test_an_interrupt_ends_the_run(tmp_path):
-    def here(job):
-        raise Interrupted("saved")
-
-    with pytest.raises(Interrupted, match="saved"):
-        run(some_jobs(tmp_path, 2), here=here)
-
-
 def test_a_number_of_workers_below_one_is_refused():
     with pytest.raises(InputError, match="expects 1 to 1024"):
         Workers(0)
@@ -184,15 +176,6 @@ def test_a_process_is_replaced_after_a_failure_and_when_it_dies(tmp_path):
     assert len({line.split()[1] for line in lines(fails[0], STARTS)}) == 3
     assert "ValueError: as requested" in (fails[0].folder / LOG).read_text()
     assert isinstance(memory.error, OutOfDeviceMemory) and memory.tries == 1 and last.ok
-
-
-@pytest.mark.slow
-def test_a_crash_or_a_bug_for_good_says_why(tmp_path):
-    crash, bug = (some_jobs(tmp_path / fault, 1, failures=9, fault=fault)[0]
-                  for fault in (str(int(signal.SIGKILL)), "bug"))
-    [crashed], [failed] = run([crash], 2, retries=0), run([bug], 2, retries=0)
-    assert "killed, or crashed" in str(crashed.error) and crashed.tries == 1
-    assert str(failed.error) == f"ValueError: as requested (see {bug.folder / LOG})"
 
 
 def driver(*words, on_interrupt=signal.SIG_DFL):

@@ -1,7 +1,6 @@
 """The joint training of a merged city: when there is one, with what it begins, and what it ends in.
 """
 
-import json
 import shutil
 import signal
 from dataclasses import replace
@@ -19,14 +18,11 @@ from clsplat.cities.merge import Merged
 from clsplat.cities.run import chosen_partition
 from clsplat.device import choose_device
 from clsplat.errors import DeviceError, InputError, Interrupted, OutOfDeviceMemory
-from clsplat.evaluation.run import Run
-from clsplat.evaluation.views import evaluate_run
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
-from clsplat.io.scenes.read import fingerprint, read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
-from clsplat.partition.options import PartitionOptions
 from clsplat.training.interrupt import handled_interrupts
 from clsplat.training.loop import train
 from tests.city.test_city import DEVICE, city, command, model
@@ -73,12 +69,6 @@ def test_a_city_keeps_the_steps_with_which_it_was_cut(tmp_path, recorded):
     wanted = tuple({"joint_steps": 0.0, **recorded}[name]
                    for name in ("joint_steps", "exchanges", "block_steps"))
     assert steps(tmp_path) == steps(tmp_path, SMALL) == wanted
-
-
-def test_options_without_numbers_are_those_of_a_city_that_is_not_trained_jointly():
-    chosen = PartitionOptions().decided()
-    assert (chosen.joint_steps, chosen.exchanges, chosen.block_steps) == (0.0, 3, 2.0)
-    assert chosen.decided(True) == chosen, "decided once"
 
 
 @pytest.fixture
@@ -213,29 +203,6 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     assert "as a whole for 30 steps" in page
     assert "overlap" not in page  # the blocks' own gaussians are not shown
     assert not any(record["event"] == "eval" for record in RunFolder(trained.coarse).records())
-
-
-@pytest.mark.slow
-def test_held_out_photos_are_not_trained_on(trained):
-    """The joint training has the scene of one run: the same extent, and the same views held out,
-    of which none is evaluated before the end."""
-    record, scene = RunFolder(trained.joint).read_options(), read_scene(CITY)
-    assert record["test_every"] == trained.read()["options"]["test_every"] == 8
-    assert record["fingerprint"] == fingerprint(scene)
-    assert record["extent"] == pytest.approx(scene.extent)
-    seen = json.loads((trained.joint / "metrics.jsonl").read_text().splitlines()[0])
-    assert seen["event"] == "plan" and "eval" not in (trained.joint / "metrics.jsonl").read_text()
-
-
-@pytest.mark.slow
-def test_its_steps_fit_the_photos(trained, tmp_path):
-    def score(gaussians):
-        shutil.copy(gaussians, folder / "point_cloud.ply")
-        return evaluate_run(Run.open(folder), device, save_images=False)["psnr"]
-
-    folder, device = tmp_path / "city", choose_device(DEVICE, form="item")
-    shutil.copytree(trained.path, folder, symlinks=True)
-    assert score(trained.joint / "point_cloud.ply") > score(trained.joint_start) + 1
 
 
 @pytest.mark.slow

@@ -10,8 +10,8 @@ from clsplat.gaussians import Gaussians
 from clsplat.partition import clusters, methods
 from clsplat.partition.input import PartitionInput
 from clsplat.partition.make import choose_grid
-from clsplat.partition.methods import _box, _meet, _rays, best_cut
-from clsplat.partition.region import Region, Space
+from clsplat.partition.methods import _meet, _rays, best_cut
+from clsplat.partition.region import Space
 from tests.data.fields import SIDES, cut, field, moved, world
 from tests.data.gaussians_at import gaussians_at
 
@@ -30,23 +30,6 @@ def test_a_view_spread_over_many_blocks_is_dropped_with_its_numbers():
     assert list(partition.dropped) == [0]
     assert partition.dropped[0].startswith("its 75 points lie in ")
     assert not any(0 in views for views in partition.views)
-
-
-def test_a_view_without_points_says_so():
-    scene = field(cameras=40)
-    scene = replace(scene, observations=scene.observations[scene.observations[:, 1] != 7])
-    assert "no point" in cut(scene, "blockgs").dropped[7]
-
-
-@pytest.mark.parametrize("count", [2, 3, 5, 8, 16])
-def test_blockgs_divides_content_evenly(count):
-    for seed in range(3):
-        scene = field(seed)
-        seen = np.bincount(scene.observations[:, 0], minlength=len(scene.points))
-        partition = cut(scene, "blockgs", (count, 1), margin=0.0)
-        content = np.bincount(partition.owner(world(scene)), seen, count)
-        assert content.min() > 0.9 * seen.sum() / count
-        assert content.max() < 1.1 * seen.sum() / count
 
 
 @pytest.mark.one_in(2)
@@ -167,21 +150,6 @@ def test_citygs_assigns_a_view_to_the_cell_of_its_camera_and_to_cells_it_shows(m
     assert any(len(keeps) > 1 for keeps in rendered.values())
 
 
-def test_citygs_enlarges_cells_with_little_content_for_the_test_only():
-    points = np.random.default_rng(0).normal(0, 1, (4000, 3)) * [*SIDES / 2, 0.3]
-    gaussians = gaussians_at(points)
-    scene, smallest = replace(field(), points=points, observations=None), []
-
-    def drop(tests):
-        for _, keep in tests:
-            smallest.append((~keep).sum())
-            yield 1.0
-
-    partition = cut(scene, "citygs", (4, 4), gaussians=gaussians, drop=drop)
-    owned = np.bincount(partition.owner(points), minlength=16)
-    assert owned.min() < 4000 // 16 <= min(smallest)
-
-
 def test_citygs_does_not_render_what_is_out_of_sight():
     scene, calls = field(cameras=20), {}
     for where in (scene, moved(scene, np.eye(3), 0.1, np.array([70.0, 0, 0]))):
@@ -215,16 +183,6 @@ def test_vastgs_measures_the_share_of_an_image(box, share):
     space = Space(np.eye(3), np.zeros(3), np.ones(3))
     origin, rays = _rays(data, space, 0, data.scene.views[0].camera)
     assert _meet(origin, rays, np.array([box], float)).mean() == pytest.approx(share, abs=0.01)
-
-
-def test_vastgs_measures_a_cell_from_its_ground_to_its_highest_point():
-    space = Space(np.eye(3), np.zeros(3), np.ones(3))
-    lower, _ = Region(space).cut(0, 0.25)
-    content = np.random.default_rng(0).uniform([-1, -1, 0.2], [0.25, 1, 0.6], (2000, 3))
-    content = np.concatenate([content, [[0, 0, 50]], [[0.5, 0, 0.9]] * 500])  # outlier; next cell
-    low, high = _box(lower, content, np.ones(len(content)))
-    assert low == pytest.approx([-1, -1, 0.2], abs=0.01)
-    assert high == pytest.approx([0.25, 1, 0.6], abs=0.01)
 
 
 def test_vastgs_assigns_views_by_what_they_show():
