@@ -314,7 +314,7 @@ class _Process:
             if not self.is_free:
                 with suppress(OSError):
                     os.kill(self._pid.result(), getattr(signal, "SIGKILL", signal.SIGTERM))
-        self._executor.shutdown(wait=False, cancel_futures=True)
+        self._executor.shutdown(cancel_futures=True)
         self._executor = self.future = None
 
 
