@@ -26,7 +26,7 @@ from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction, turned
 from clsplat.io.lock import HOLDER, LOCK, exclusive
-from clsplat.io.photos.levels import common_levels, is_deep, levels_note
+from clsplat.io.photos.levels import common_levels, levels_note
 from clsplat.io.photos.masks import MASKS
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, write_object
@@ -239,8 +239,8 @@ def _photos(source: Path, options: SfmOptions, progress: Progress
     masked = sum(photo.mask is not None for photo in photos)
     if masked:
         progress.message(f"{masked} of {len(photos)} photos have a mask: dark pixels are not used")
-    paths = [photo.path for photo in photos]
-    levels = common_levels(paths, map(is_deep, paths))
+    levels = common_levels([photo.path for photo in photos],
+                           [photo.metadata.is_deep for photo in photos])
     note = levels_note(levels)
     if note:
         progress.message(note)

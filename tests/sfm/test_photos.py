@@ -1,13 +1,11 @@
 """Which files are photos, which share a camera, and which mask belongs to which."""
 
-import os
 
-import numpy as np
 import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.photos.metadata import Calibration
-from clsplat.sfm.photos import cameras_of, find_photos, has_photos, is_video
+from clsplat.sfm.photos import cameras_of, find_photos
 from tests.sfm.cases import folder_of, source
 
 EXIF = {"Make": "A", "Model": "B", "Exif:FocalLength": 5.0,
@@ -21,16 +19,6 @@ def test_subfolders_are_searched_and_other_files_left_out(tmp_path):
     photos, refused = find_photos(tmp_path)
     assert [photo.name for photo in photos] == ["a.png", "b/1.JPG", "b/2.jpg"]
     assert list(refused) == ["broken.jpg"] and "not an image" in refused["broken.jpg"]
-
-
-def test_photos_whose_names_are_not_utf_8_are_refused(tmp_path):
-    """As names they would be equal, and one of them be taken for the other."""
-    folder_of(tmp_path, ["a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg"])
-    for name, other in (("d.jpg", b"\xe4.jpg"), ("e.jpg", b"\xf6.jpg")):
-        os.rename(tmp_path / name, os.fsencode(tmp_path) + b"/" + other)
-    photos, refused = find_photos(tmp_path)
-    assert [photo.name for photo in photos] == ["a.jpg", "b.jpg", "c.jpg"]
-    assert refused == {"?.jpg": "its name is not UTF-8: rename it"}
 
 
 def test_raw_photos_are_named_unless_a_camera_wrote_both(tmp_path):
@@ -94,10 +82,3 @@ def test_the_makers_calibration_counts_first():
     known = Calibration((60, 58), (31, 26), (-0.4, 0.3, 0.01, 0.02, -0.2))
     camera, = cameras_of([source(camera="DJI", calibration=known, focal_pixels=70.0)])
     assert (camera.model, camera.focal, camera.calibration) == ("OPENCV", 59, known)
-
-
-def test_what_train_takes_as_photos(tmp_path):
-    folder_of(tmp_path, ["in/deep/a.jpg"])
-    assert has_photos(tmp_path) and not has_photos(tmp_path / "none")
-    assert is_video(tmp_path / "a.MP4") and not is_video(tmp_path / "a.jpg")
-    assert np.all([not is_video(tmp_path), not has_photos(tmp_path / "in/deep/a.jpg")])

@@ -5,7 +5,6 @@ grey. All photos of a set are stretched alike, so that a surface keeps its grey 
 """
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from clsplat.io.photos.photo import Levels, Source, opened
 MOST_READ = 32  # photos, evenly chosen, whose samples are looked at
 SHARES = (0.1, 99.9)  # per cent of a photo's samples, between which they count
 FEWEST_STEPS = 64.0  # of 8 bits that samples fill, with which they are left as they are
-SHALLOW = (".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".tga")  # formats without 16 bits
 
 
 def common_levels(sources: Sequence[Source], deep: Iterable[bool]) -> list[Levels | None]:
@@ -35,14 +33,6 @@ def common_levels(sources: Sequence[Source], deep: Iterable[bool]) -> list[Level
     low, high = (float(np.min(ends)), float(np.max(ends))) if ends else (0.0, 0.0)
     is_narrow = 0 < high - low < 257 * FEWEST_STEPS
     return [(low, high) if is_deep and is_narrow else None for is_deep in deep]
-
-
-def is_deep(source: Path) -> bool:
-    """Whether a photo is grey, with samples of 16 bits."""
-    if source.suffix.lower() in SHALLOW:
-        return False
-    with opened(source) as photo:
-        return photo.is_deep
 
 
 def levels_note(levels: Sequence[Levels | None]) -> str:

@@ -58,6 +58,7 @@ class PhotoMetadata:
         tags, which other makers use).
     gimbal_pitch, gimbal_roll : degrees (DJI); the pitch of a camera that looks straight down is
         -90.
+    is_deep : whether it is grey, with samples of 16 bits.
     """
 
     width: int
@@ -75,6 +76,7 @@ class PhotoMetadata:
     gps_std: tuple[float, float, float] | None = None
     gimbal_pitch: float | None = None
     gimbal_roll: float | None = None
+    is_deep: bool = False
 
     @property
     def quarter_turns(self) -> int:
@@ -103,8 +105,8 @@ def read_metadata(path: str | Path) -> PhotoMetadata:
             _words(photo, "Exif:LensModel", "Exif:FocalLength"),
             _focal_pixels(photo), _calibration(photo), latitude, longitude, _altitude(photo),
             _number(photo, "GPS:AltitudeRef", 3) in (2, 3), _text(photo, "GPS:Status") == "V",
-            _gps_std(photo), *(_number(photo, f"{DJI}Gimbal{axis}Degree", 360)
-                               for axis in ("Pitch", "Roll")))
+            _gps_std(photo), _number(photo, f"{DJI}GimbalPitchDegree", 360),
+            _number(photo, f"{DJI}GimbalRollDegree", 360), photo.is_deep)
 
 
 def _numbers(photo: Photo, name: str) -> list[float]:

@@ -34,8 +34,7 @@ MILLIMETRES, FLOATS = (METRES * 1000).round().astype(np.uint16), METRES.astype(n
 
 
 @pytest.mark.parametrize("name, values", [
-    ("photo_1.png", MILLIMETRES), ("photo_1.tif", MILLIMETRES), ("photo_1.png.png", MILLIMETRES),
-    ("photo_1.exr", FLOATS), ("photo_1.tiff", FLOATS), ("photo_1.npy", FLOATS),
+    ("photo_1.png.png", MILLIMETRES), ("photo_1.tif", MILLIMETRES), ("photo_1.exr", FLOATS),
     ("photo_1.npy", METRES), ("photo_1.npy", MILLIMETRES)])
 def test_formats(folder, name, values):
     path = folder / "laser" / name
@@ -88,18 +87,10 @@ def test_a_plane_in_the_faces_of_a_wide_lens(tmp_path):
     (lambda f: write_image(f / "photo_1.png", np.zeros((HEIGHT, WIDTH, 3))), "samples of uint8"),
     (lambda f: np.save(f / "photo_1.npy", METRES[:20]), "48x20 pixels and its photo 48x36"),
     (lambda f: np.save(f / "photo_1.npy", METRES[None]), r"float64\[1, 36, 48\], not numbers"),
-    (lambda f: np.save(f / "photo_1.npy", np.array([{}]), allow_pickle=True), "not a NumPy array"),
     (lambda f: (f / "photo_1.npy").write_bytes(b""), "photo_1.npy: not a NumPy array"),
-    (lambda f: (f / "photo_1.exr").write_bytes(b"x"), "photo_1.exr: not an image"),
 ])
 def test_maps_that_do_not_fit(folder, spoil, words):
     spoil(folder / "laser")
     with pytest.raises(InputError, match=words) as caught:
         read_depth(with_depths(read_scene(folder), "laser").views[1])
     assert "\n" not in str(caught.value)
-
-
-def test_a_folder_that_is_missing(folder):
-    scene = replace(read_scene(folder), path=folder)
-    with pytest.raises(InputError, match="--depth lidar: .*no such folder"):
-        with_depths(scene, "lidar")

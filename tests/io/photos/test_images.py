@@ -4,7 +4,6 @@ import shutil
 from types import SimpleNamespace
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
 
 from clsplat.errors import InputError
@@ -16,21 +15,12 @@ from clsplat.io.photos.images import (
     write_image,
 )
 from clsplat.io.photos.photo import opened
-from clsplat.io.photos.resample import resample
 
 
 def smooth(height, width):
     """A smooth uint8[height, width, 3], which JPEG keeps well."""
     y, x = np.mgrid[:height, :width] / max(height, width)
     return (np.stack([x, y, (x + y) / 2], axis=2) * 200 + 20).astype(np.uint8)
-
-
-def write_raw(path, array, kind):
-    """Write any channels and sample type, which `write_image` does not."""
-    output = oiio.ImageOutput.create(str(path))
-    assert output.open(str(path), oiio.ImageSpec(array.shape[1], array.shape[0],
-                                                 array.shape[2], kind))
-    assert output.write_image(array) and output.close()
 
 
 def test_png_is_exact_and_size_is_width_first(tmp_path):
@@ -59,22 +49,6 @@ def test_jpeg_quality_and_bytes_source(tmp_path):
     assert (tmp_path / "again.jpg").read_bytes() == fine
 
 
-def test_grey_alpha_and_deep_samples(tmp_path):
-    grey = np.arange(12, dtype=np.uint8).reshape(3, 4, 1)
-    write_raw(tmp_path / "grey.png", grey, oiio.UINT8)
-    assert np.array_equal(read_image(tmp_path / "grey.png"), np.repeat(grey, 3, axis=2))
-    deep = np.full((3, 4, 3), 200 * 257, np.uint16)
-    write_raw(tmp_path / "deep.png", deep, oiio.UINT16)
-    assert np.array_equal(read_image(tmp_path / "deep.png"), np.full((3, 4, 3), 200))
-    spec = oiio.ImageSpec(4, 3, 4, oiio.UINT8)
-    spec.attribute("oiio:UnassociatedAlpha", 1)
-    output = oiio.ImageOutput.create(str(tmp_path / "alpha.png"))
-    assert output.open(str(tmp_path / "alpha.png"), spec)
-    assert output.write_image(np.full((3, 4, 4), (200, 100, 50, 10), np.uint8)) and output.close()
-    assert np.array_equal(read_image(tmp_path / "alpha.png"),
-                          np.full((3, 4, 3), (200, 100, 50)))
-
-
 def area_mean(pixels, size):
     """`resample` by its definition, a pixel at a time, in float64."""
     height, width = pixels.shape[:2]
@@ -89,7 +63,7 @@ def area_mean(pixels, size):
     return out
 
 
-@pytest.mark.parametrize("size", [(15, 10), (30, 20), (31, 7), (45, 30), (1, 1), (60, 40)])
+@pytest.mark.parametrize("size", [(15, 10), (31, 7), (60, 40)])
 def test_resampling_is_the_mean_over_the_covered_area(tmp_path, size):
     pixels = np.random.default_rng(1).integers(0, 256, (30, 45, 3), dtype=np.uint8)
     write_image(tmp_path / "a.png", pixels)
@@ -98,11 +72,7 @@ def test_resampling_is_the_mean_over_the_covered_area(tmp_path, size):
     assert np.abs(read - area_mean(pixels, size)).max() <= 0.5 + 1e-3
 
 
-def test_resampling_keeps_a_constant():
-    assert (resample(np.full((767, 1019, 3), 255, np.uint8), (203, 153)) == 255).all()
-
-
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.99])
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.7])
 @pytest.mark.parametrize("suffix", ["jpg", "tif"])
 def test_truncated_is_refused(tmp_path, suffix, share):
     path = tmp_path / f"photo.{suffix}"

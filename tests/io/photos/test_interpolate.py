@@ -25,10 +25,6 @@ def image():
     return np.random.default_rng(0).uniform(0, 255, (9, 13))
 
 
-def test_pixels_are_themselves(image):
-    assert np.allclose(interpolated(image, grid(13, 9)), image)
-
-
 def test_quadratic_images_are_reproduced():
     x, y = grid(13, 9)
     places = np.random.default_rng(1).uniform(2.5, 6.5, (2, 20, 30))

@@ -150,7 +150,7 @@ def test_parameters_that_describe_no_lens_are_refused_or_bounded(model, bad):
             assert np.isfinite(made["focals"]).all() and np.isfinite(made["centres"]).all()
 
 
-@pytest.mark.parametrize("radial", [(0.1, -0.02, 0.03), (-0.2, 0.0, 0.0), (0.0, 0.0, 0.0)])
+@pytest.mark.parametrize("radial", [(0.1, -0.02, 0.03), (0.0, 0.0, 0.0)])
 def test_brown_with_four_radial_terms(radial):
     """With the fourth term zero it is FULL_OPENCV; and that term is the factor of r^8."""
     rays = np.array([(x, y, 1.0) for x in np.linspace(-0.5, 0.5, 9) for y in (-0.4, 0.1, 0.3)])

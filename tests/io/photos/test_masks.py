@@ -55,12 +55,6 @@ def test_a_reduced_pixel_counts_if_all_that_it_covers_do(folder):
     assert read_valid(read_scene(folder).views[1]) is None  # a mask of all is none
 
 
-def test_windows_take_their_part_of_a_mask(folder):
-    put_mask(folder, "photo_1.png", half())
-    part = read_scene(folder).cropped({"photo_1.png": (20, 2, 30, 12)}).views[1]
-    assert np.array_equal(read_valid(part), half()[2:12, 20:30])
-
-
 def test_transparent_pixels_do_not_count(folder):
     pixels = np.full((HEIGHT, WIDTH, 4), 90, np.uint8)
     pixels[..., 3] = np.where(half(), 200, 40)
@@ -147,15 +141,6 @@ def test_masks_of_subfolders_are_those_of_their_photos(folder):
     found = {photo.name: photo.mask for photo in find_photos(folder)[0]}
     assert found["a/x.png"] == folder / "a/mask/x.png"
     assert found["b/x.png"] == folder / "masks/b/x.png" and found["x.png"] is None
-
-
-def test_masks_of_a_scene_below_the_photos_are_not_theirs(folder):
-    folder = folder / "images"
-    put(folder / "scene/masks/photo_1.png")
-    put(folder / "scene/images/photo_1.png")
-    (folder / "scene/sfm.json").touch()
-    photos, refused = find_photos(folder)
-    assert len(photos) == 4 and not any(photo.mask for photo in photos) and refused == {}
 
 
 def test_folders_that_link_to_themselves(folder):

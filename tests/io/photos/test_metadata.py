@@ -94,12 +94,6 @@ def test_accuracies_of_pix4d(tmp_path):
     assert data.gps_std == (2, 2, 3)
 
 
-def test_body_and_lens(tmp_path):
-    data = read_metadata(photo(tmp_path / "a.jpg", {
-        "Make": "Canon ", "Model": "Canon  PowerShot", "Exif:FocalLength": 4.5}))
-    assert data.camera == "Canon Canon PowerShot" and data.lens == "4.5"
-
-
 def test_focal_length_follows_the_sensor_or_the_film(tmp_path):
     sensor = {"Exif:FocalLength": 5.0, "Exif:FocalPlaneXResolution": 254.0,
               "Exif:FocalPlaneResolutionUnit": 2}

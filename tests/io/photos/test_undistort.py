@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.errors import InputError
 from clsplat.io.photos import undistort as module
 from clsplat.io.photos.depth import read_depth, with_depths
 from clsplat.io.photos.images import read_image, write_image
@@ -80,13 +79,6 @@ def test_without_making_only_fresh_files_are_used(folder, tmp_path):
     undistorted(replace(scene, views=scene.views[:2]), kept)
     found = undistorted(scene, kept, make=False)
     assert [view.lens is None for view in found.views] == [True, True, False, False]
-
-
-def test_a_damaged_photo_is_named(folder, tmp_path):
-    path = folder / "images/photo_3.png"
-    path.write_bytes(path.read_bytes()[:-40])
-    with pytest.raises(InputError, match="photo_3.png"):
-        undistorted(read_scene(folder), tmp_path / "kept")
 
 
 def test_masks_and_depth_maps_go_with_their_photos(folder, tmp_path):

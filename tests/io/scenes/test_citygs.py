@@ -84,10 +84,3 @@ def test_unusable_scenes(tmp_path, spoil, words):
     with pytest.raises(InputError, match=words) as caught:
         read_scene(folder)
     assert len(str(caught.value).splitlines()) == 1
-
-
-def test_a_colmap_folder_stays_one(tmp_path):
-    """A folder named train beside a scene's own model is not one of its parts."""
-    tiny(tmp_path)
-    write_scene(tmp_path)
-    assert len(read_scene(tmp_path).views) == 4 and read_scene(tmp_path).held_out is None

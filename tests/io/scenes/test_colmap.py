@@ -79,16 +79,6 @@ def test_observations_are_the_tracks(tmp_path, text):
     assert scene.reduced(2).recentred().observations is scene.observations
 
 
-def test_a_model_without_tracks_has_no_observations(tmp_path):
-    made = reconstruction()
-    for point in made.points3D.values():
-        for element in list(point.track.elements):
-            made.images[element.image_id].reset_point3D_for_point2D(element.point2D_idx)
-        point.track = pycolmap.Track()
-    scene = read_colmap(write_scene(tmp_path / "town", made))
-    assert len(scene.points) == 30 and scene.observations is None
-
-
 def test_fingerprint_tells_scenes_apart(tmp_path):
     made = reconstruction()
     write_scene(tmp_path / "a", made)
@@ -202,19 +192,6 @@ def test_names_with_spaces(tmp_path):
             image.name = f"a  photo {image.name}"
         scene = read_colmap(write_scene(tmp_path / str(text), made, text))
         assert scene.views[0].name == "a  photo photo_0.png"
-
-
-def test_points_that_cannot_be_trained_on(tmp_path):
-    for name, value, words in (("nan", np.nan, ("1 of 30 points", "not finite")),
-                               ("inf", np.inf, ("1 of 30 points", "not finite")),
-                               ("far", 2e15, ("1 of 30 points", "not below 1e+15"))):
-        made = reconstruction()
-        next(iter(made.points3D.values())).xyz = np.array([0, value, 0])
-        refused(write_scene(tmp_path / name, made), *words)
-    made = reconstruction()
-    for point in made.points3D.values():
-        point.xyz = np.ones(3)
-    refused(write_scene(tmp_path / "one", made), "30 points all lie at one place")
 
 
 def test_photos(tmp_path):

@@ -2,12 +2,10 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from clsplat.errors import InputError
@@ -15,9 +13,7 @@ from clsplat.io.scenes.read import read_scene
 from tests.data.layouts import (
     assert_same_cameras,
     every_fourth,
-    world_points,
     write_mega_nerf,
-    write_model,
 )
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -60,19 +56,6 @@ def test_cameras_and_held_out_views(tmp_path, city):
     assert_same_cameras(scene, city, name)
     assert scene.held_out == {name(old) for old in HELD_OUT}
     assert scene.path == folder and scene.name == "rubble" and len(scene.points) == 4000
-
-
-def test_without_held_out_photos_and_with_the_model_of_the_poses(tmp_path, city):
-    folder = tmp_path / "rubble"
-    write_mega_nerf(folder, city, HELD_OUT, save_json)
-    shutil.rmtree(folder / "val")
-    for path in (folder / "train/rgbs").iterdir():
-        path.rename(path.with_suffix(".JPG"))
-    write_model(folder / "colmap/sparse/0", city, city.views, np.arange(300))
-    assert described(folder, tmp_path) == "train: 6 photos\nval: 0 photos\n"
-    scene = read_scene(folder)
-    assert scene.held_out is None and {view.source.suffix for view in scene.views} == {".JPG"}
-    np.testing.assert_allclose(world_points(scene), world_points(city)[:300], atol=1e-9)
 
 
 def test_a_folder_that_is_not_converted_is_refused_with_the_command(tmp_path, city):

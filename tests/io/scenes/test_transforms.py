@@ -84,15 +84,6 @@ def test_angle_of_view_and_names_without_suffix(tmp_path, city):
     np.testing.assert_allclose(focal[1], 120 / np.tan(0.6))
 
 
-def test_photos_by_their_whole_path(tmp_path, city):
-    table = write_transforms(tmp_path, city)
-    frames = [{**frame, "file_path": str(tmp_path / frame["file_path"])}
-              for frame in table["frames"]]
-    scene = read_scene(changed(tmp_path, table, frames=frames))
-    assert_same_cameras(scene, city, lambda name: str(tmp_path / "images" / name)[1:])
-    assert scene.views[0].source == tmp_path / "images/000.jpg"
-
-
 def test_rounded_rotations_far_from_the_origin(tmp_path, city):
     """Six digits of a rotation, at UTM coordinates: cameras stay where the file says."""
     far = replace(city, offset=city.offset + (5e5, 5e6, 300))
@@ -187,12 +178,6 @@ def test_sampled_points_follow_the_unit_and_need_two_places():
             sample_points("a", blind)
 
 
-def test_a_colmap_model_is_preferred(tmp_path, city):
-    write_transforms(tmp_path, city)
-    write_model(tmp_path / "sparse/0", city, city.views, np.arange(len(city.points)))
-    assert read_scene(tmp_path).observations is not None
-
-
 def first(**changes):
     """The frames, the first one changed."""
     return lambda table: {"frames": [{**table["frames"][0], **changes}, *table["frames"][1:]]}
@@ -276,13 +261,6 @@ def refused(folder, words):
 def test_damaged_files(tmp_path, text, words):
     (tmp_path / "transforms.json").write_text(text)
     refused(tmp_path, words)
-
-
-def test_a_ply_without_positions(tmp_path, city):
-    write_transforms(tmp_path, city)
-    path = tmp_path / "sparse_pc.ply"
-    path.write_bytes(path.read_bytes().replace(b"double x", b"double u"))
-    refused(tmp_path, "sparse_pc.ply: its vertices have no x, y, z")
 
 
 @needs_cases

@@ -69,12 +69,11 @@ def test_photos_of_a_lens_are_written_without_it(tmp_path):
     assert read.views[0].camera.focal == scene.views[0].camera.focal
 
 
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32, bytes])
+@pytest.mark.parametrize("kind", [np.uint16, np.float32, bytes])
 def test_photos_that_are_no_files(tmp_path, scene, kind):
     photos = [read_photo(view) for view in scene.views]
     sources = [view.source.read_bytes() if kind is bytes else
-               photo * np.uint16(257) if kind is np.uint16 else
-               photo / np.float32(255) if kind is np.float32 else photo
+               photo * np.uint16(257) if kind is np.uint16 else photo / np.float32(255)
                for photo, view in zip(photos, scene.views)]
     own = replace(scene, views=tuple(
         replace(view, source=source, mask=None) for view, source in zip(scene.views, sources)))
