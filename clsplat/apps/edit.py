@@ -95,22 +95,14 @@ class Source:
             georeference=None if turned else self.georeference,
             up=self.up if self.up is None or rotation is None else rotation @ self.up)
 
+    @property
     def comments(self) -> tuple[str, ...]:
-        """What the header of a file must say besides its place."""
+        """How it was trained, for the header of a file."""
         return (MIP,) if self.antialiased else ()
 
     def in_box(self, box: Sequence[float], coordinates: str) -> NDArray[np.bool_]:
-        """bool[N]: whether the gaussians lie in a box.
-
-        Parameters
-        ----------
-        box : the lowest x, y, z, then the highest; -inf and inf leave a side open.
-        coordinates : auto and scene: it is in original coordinates; map: in those of the CRS.
-
-        Raises
-        ------
-        InputError : the box is empty, or the coordinates need a georeference.
-        """
+        """bool[N]: whether the gaussians lie in a box: the lowest x, y, z, then the highest, in
+        original coordinates (auto, scene) or those of the CRS (map); InputError for others."""
         low, high = np.array(box, np.float64).reshape(2, 3)
         if not (low < high).all():
             raise InputError("--box: is empty; give the lowest x, y and z, then the highest (inf "
@@ -123,19 +115,15 @@ class Source:
         return np.asarray(((points >= low) & (points <= high)).all(axis=1))
 
     def in_polygons(self, text: str, coordinates: str) -> NDArray[np.bool_]:
-        """bool[N]: whether the gaussians stand above or below polygons on the ground plane: their
+        """bool[N]: whether the gaussians stand above or below polygons on the ground: their
         original x and y if z is up.
 
         Parameters
         ----------
         text : the path of a GeoJSON file, or corners such as "0,0 10,0 10,10".
-        coordinates : scene (original coordinates of the model), map (those of its CRS), lonlat
-            (longitude and latitude), or auto: the CRS that a GeoJSON file names; otherwise lonlat
-            for a GeoJSON file if the model is georeferenced, and scene for all else.
-
-        Raises
-        ------
-        InputError : the file or the text is no polygon, or the coordinates need a georeference.
+        coordinates : scene (original ones of the model), map (of its CRS), lonlat (degrees), or
+            auto: the CRS that a GeoJSON file names; otherwise lonlat for a GeoJSON file if the
+            model is georeferenced, and scene for all else.
         """
         is_file = text.lower().endswith(GEOJSON)
         polygons, crs = read_polygons(Path(text)) if is_file else ([[_corners(text)]], "")

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsplat.apps.edit import Source
-    from clsplat.cli.progress import Progress
 
 CROP: dict[str, Any] = {"cls": SectionedOption, "section": "Crop"}
 CLEAN: dict[str, Any] = {"cls": SectionedOption, "section": "Remove gaussians"}
@@ -88,20 +87,28 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
     from dataclasses import replace
     from functools import partial
 
+    import numpy as np
     from scipy.spatial.transform import Rotation
 
     from clsplat.apps.edit import Source, joined
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.edit.decimate import decimated
-    from clsplat.edit.select import used_sh_degree
+    from clsplat.edit.select import neighbours, used_sh_degree
     from clsplat.io.models.formats import write_model, written_format
+    from clsplat.io.models.values import opacities
     written_format(output)
     check_free(output, overwrite)
     if outside and not (box or polygon):
         raise InputError("--outside: has no effect without --box or --polygon")
-    sources = []
     with Progress() as progress:
+
+        def kept(source: Source, keep: NDArray[np.bool_], reason: str) -> Source:
+            progress.message(f"{source.path}: {(~keep).sum():,} of {len(keep):,} gaussians "
+                             f"{reason}")
+            return source.kept(keep)
+
+        sources = []
         for path in models:
             progress.phase(f"reading {path}")
             source = Source.open(path)
@@ -111,8 +118,26 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
                 source = source.measured(choose_device(device), scene, partial(
                     progress.count, "rendering view"))
             if box or polygon:
-                source = _cropped(source, progress, box, polygon, coordinates, outside)
-            sources.append(_cleaned(source, progress, min_opacity, max_size, min_support))
+                keep = np.ones(source.gaussians.count, bool)
+                if box:
+                    keep &= source.in_box(box, coordinates)
+                if polygon:
+                    keep &= source.in_polygons(polygon, coordinates)
+                source = kept(source, keep ^ outside,
+                              f"are {'inside' if outside else 'outside'}")
+            if min_opacity:
+                source = kept(source, opacities(source.gaussians) >= min_opacity,
+                              f"are less opaque than {min_opacity:g}")
+            if max_size is not None:
+                largest = source.gaussians.log_scales.max(axis=1)
+                source = kept(source, largest <= np.log(max_size), f"are larger than {max_size:g}")
+            if min_support and source.support is not None:
+                source = kept(source, source.support >= min_support,
+                              f"are seen by fewer than {min_support} training views")
+            elif min_support:
+                source = kept(source, neighbours(source.gaussians, min_support) >= min_support,
+                              f"have fewer than {min_support} neighbours")
+            sources.append(source)
         source = joined(sources)
         if decimate is not None:
             count = round(decimate * source.gaussians.count) if decimate < 1 else int(decimate)
@@ -127,47 +152,6 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
                                  "--rotate")
         progress.phase(f"writing {output}")
         gaussians = source.gaussians.with_sh_degree(used_sh_degree(source.gaussians))
-        write_model(output, gaussians, source.comments(), source.up, source.georeference)
+        write_model(output, gaussians, source.comments, source.up, source.georeference)
     click.echo(f"{output}: {gaussians.count:,} gaussians, spherical harmonics to degree "
                f"{gaussians.sh_degree}")
-
-
-def _cropped(source: Source, progress: Progress, box: tuple[float, ...] | None,
-             polygon: str | None, coordinates: str, outside: bool) -> Source:
-    import numpy as np
-    keep = np.ones(source.gaussians.count, bool)
-    if box:
-        keep &= source.in_box(box, coordinates)
-    if polygon:
-        keep &= source.in_polygons(polygon, coordinates)
-    keep ^= outside
-    progress.message(f"{source.path}: {(~keep).sum():,} of {len(keep):,} gaussians are "
-                     f"{'inside' if outside else 'outside'}")
-    return source.kept(keep)
-
-
-def _cleaned(source: Source, progress: Progress, min_opacity: float, max_size: float | None,
-             min_support: int) -> Source:
-    """The source without floaters; one message for each reason."""
-    import numpy as np
-
-    from clsplat.edit.select import neighbours
-    from clsplat.io.models.values import opacities
-
-    def without(source: Source, keep: NDArray[np.bool_], reason: str) -> Source:
-        progress.message(f"{source.path}: {(~keep).sum():,} gaussians {reason}")
-        return source.kept(keep)
-
-    if min_opacity:
-        source = without(source, opacities(source.gaussians) >= min_opacity,
-                         f"are less opaque than {min_opacity:g}")
-    if max_size is not None:
-        source = without(source, source.gaussians.log_scales.max(axis=1) <= np.log(max_size),
-                         f"are larger than {max_size:g}")
-    if min_support and source.support is not None:
-        source = without(source, source.support >= min_support,
-                         f"are seen by fewer than {min_support} training views")
-    elif min_support:
-        source = without(source, neighbours(source.gaussians, min_support) >= min_support,
-                         f"have fewer than {min_support} neighbours")
-    return source

@@ -24,11 +24,7 @@ def make_folder(path: Path, cure: str = CURE) -> None:
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
     """A folder beside `path` that becomes it when the block ends; if anything fails it is removed.
-
-    Raises
-    ------
-    InputError : `path` exists and is not an empty folder, or cannot be written.
-    """
+    InputError if `path` exists and is not an empty folder, or cannot be written."""
     partial = path.with_name(path.name + PARTIAL)
     if path.is_file() or path.is_dir() and any(path.iterdir()):
         raise InputError(f"{path}: exists already; choose another folder, or remove this one")
@@ -48,13 +44,8 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 def link_file(source: Path, place: Path, kind: Literal["symbolic", "hard", "copy"] = "symbolic"
               ) -> None:
-    """Link to a file, or copy it if the file system has no links; what is at the place stays.
-
-    Parameters
-    ----------
-    place : of the link; its folder is created.
-    kind : of the link; a hard one outlives its source.
-    """
+    """Link to a file from a place, whose folder is created, or copy it if the file system has no
+    links; what is at the place stays. A hard link outlives its source."""
     make_folder(place.parent)
     source = source.resolve()
     if place.exists():

@@ -22,14 +22,13 @@ class LockTaken(InputError):
 
 @contextmanager
 def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
-    """Lock a folder while the block runs.
+    """Lock an existing folder while the block runs.
 
     The same thread of the same process may lock a folder again. The lock of a process that has
     died is free at once, whatever files it left.
 
     Parameters
     ----------
-    folder : an existing folder.
     patience : seconds to wait for a process that has locked it.
 
     Raises
@@ -44,8 +43,7 @@ def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
     try:
         lock.acquire(timeout=patience)
     except Timeout:
-        raise LockTaken(f"{folder}: {holder(folder)} works here; wait for it, or stop it"
-                        ) from None
+        raise LockTaken(f"{folder}: {holder(folder)} works here; wait for it, or stop it") from None
     except (OSError, NotImplementedError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{path}: cannot be locked ({reason}); check that the folder exists and "
@@ -53,7 +51,10 @@ def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
                          ) from None
     try:
         if lock.lock_counter == 1:
-            _sign(path.with_name(HOLDER))
+            record = {"process": os.getpid(), "host": socket.gethostname(),
+                      "since": time.strftime("%Y-%m-%d %H:%M:%S")}
+            with suppress(OSError):  # a full disk must not keep a lock from being taken
+                path.with_name(HOLDER).write_text(json.dumps(record) + "\n", encoding="utf-8")
         yield
     finally:
         if lock.lock_counter == 1:
@@ -94,10 +95,3 @@ def latest_change(folder: Path) -> int:
         return max((entry.stat().st_mtime_ns for entry in entries
                     if entry.name != LOCK), default=0)  # some versions of filelock write it
     return 0
-
-
-def _sign(path: Path) -> None:
-    record = {"process": os.getpid(), "host": socket.gethostname(),
-              "since": time.strftime("%Y-%m-%d %H:%M:%S")}
-    with suppress(OSError):  # a full disk must not keep a lock from being taken
-        path.write_text(json.dumps(record) + "\n", encoding="utf-8")

@@ -121,9 +121,7 @@ def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] 
     Parameters
     ----------
     path : a file with one of SUFFIXES.
-    comments : lines for the formats that have a place for text.
-    up : float64[3], the unit vector that points up, for the formats that have a place for it.
-    georeference : of the original coordinates, likewise.
+    comments, up, georeference : see `Notes`; for the formats that have a place for them.
 
     Raises
     ------

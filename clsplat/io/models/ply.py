@@ -69,8 +69,6 @@ def write_ply(path: str | Path, gaussians: Gaussians, offset: ArrayLike = (0.0, 
 def read_ply(path: str | Path, offset: ArrayLike | None = None) -> Gaussians:
     """Read the gaussians of a PLY file that clsplat wrote, in local coordinates.
 
-    Normals and missing bands are left out.
-
     Parameters
     ----------
     offset : float64[3], world, subtracted from the positions instead of the offset in the header,

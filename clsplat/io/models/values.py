@@ -109,10 +109,9 @@ def gaussians_of(path: Path, rows: dict[str, NDArray[np.float64]],
 
     Parameters
     ----------
-    path : the file that messages name.
     rows : the fields of `gaussians.LEARNED`; positions relative to the origin.
-    origin : float64[3], original coordinates, as the file records it.
-    offset : float64[3], original coordinates of the origin of the local ones; None: `origin`.
+    origin, offset : float64[3], original coordinates: of the file's, and of the local origin; None:
+        that of the file.
     """
     offset = np.array(origin if offset is None else offset, np.float64)
     rows = {**rows, "positions": rows["positions"] + (origin - offset)}
@@ -126,16 +125,8 @@ def usable(path: str | Path, rows: dict[str, NDArray[Any]], most_left_out: float
     """The rows [N, ...] of fields whose numbers are all finite; a warning counts the others.
 
     A logit of +-inf is an opaque or an invisible gaussian, a logarithm of -inf a size of zero:
-    finite values stand for these.
-
-    Parameters
-    ----------
-    path : the file that messages name.
-    most_left_out : of the rows, 0 to 1; 0 for a file that clsplat wrote.
-
-    Raises
-    ------
-    InputError : more rows would be left out.
+    finite values stand for these. InputError if more rows than the share `most_left_out` are left
+    out; 0 for a file that clsplat wrote.
     """
     ends = {"opacity_logits": logits(np.array((0.0, 1.0))),
             "log_scales": np.array((-LARGEST_LOG_SCALE, np.inf))}
