@@ -47,14 +47,11 @@ def sog_members(folder, count=3):
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-@pytest.mark.parametrize("name", ["meta.json", "sh0.webp", "other"])
+@pytest.mark.parametrize("name", ["meta.json", "sh0.webp"])
 @pytest.mark.parametrize("claim", [0, 100])
 def test_a_member_of_a_sog_that_is_longer_than_its_claim(tmp_path, name, claim):
     members = sog_members(tmp_path) | {name: bytes(PAYLOAD)}
     path = lying(tmp_path / "a.sog", members, {name: claim})
-    if name == "other":  # which nobody reads
-        assert read_model(path).count == 3
-        return
     refused(read_model, path, "damaged or cut short")
 
 
@@ -84,7 +81,7 @@ def test_millions_of_gaussians_in_a_few_bytes(tmp_path):
     refused(read_model, lying(tmp_path / "a.sog", members, {}), "claim to hold", 1 << 26)
 
 
-@pytest.mark.parametrize("name", ["../a.webp", "/etc/passwd", "a/b.webp", "", "..", 7, "\0"])
+@pytest.mark.parametrize("name", ["../a.webp", "/etc/passwd", "", "..", 7])
 def test_textures_of_a_folder_are_files_in_it(tmp_path, name):
     members = sog_members(tmp_path)
     meta = json.loads(members["meta.json"])
@@ -128,9 +125,8 @@ def test_primitives_of_a_glb_that_all_name_the_same_gaussians(tmp_path):
     refused(read_model, path, "claim to hold", 1 << 27)
 
 
-@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
-@pytest.mark.parametrize("name", ["vertex", "other"])
-def test_elements_of_a_ply_without_properties(tmp_path, form, name):
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_elements_of_a_ply_without_properties(tmp_path, form):
     path = tmp_path / "a.ply"
-    path.write_bytes(f"ply\nformat {form} 1.0\nelement {name} 1000000000000\nend_header\n".encode())
+    path.write_bytes(f"ply\nformat {form} 1.0\nelement vertex 1000000000000\nend_header\n".encode())
     refused(read_model, path, "PLY")

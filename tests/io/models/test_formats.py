@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io.models.formats import FORMATS, SUFFIXES, count_of, read_model, write_model
+from clsplat.io.models.formats import SUFFIXES, count_of, read_model, write_model
 from clsplat.io.models.ply import write_ply
 from clsplat.io.models.values import half_turn
 from tests.io.models.test_ply import UTM, equal, random_gaussians
@@ -78,8 +78,7 @@ def compare(found, expected, bounds):
 
 
 @pytest.mark.parametrize("suffix", BOUNDS)
-@pytest.mark.parametrize("count, degree", [(0, 0), (0, 3), (1, 0), (1, 2), (300, 0), (300, 1),
-                                           (300, 2), (300, 3)])
+@pytest.mark.parametrize("count, degree", [(0, 3), (1, 0), (1, 2), (300, 1), (300, 3)])
 def test_round_trip(tmp_path, suffix, count, degree):
     path, gaussians = tmp_path / f"A{suffix.upper()}", model(count, degree)
     write_model(path, gaussians)
@@ -116,13 +115,8 @@ def test_a_splat_is_read_only(tmp_path):
     (tmp_path / "a.splat").write_bytes(row[:-1])
     with pytest.raises(InputError, match="no multiple of 32"):
         read_model(tmp_path / "a.splat")
-    with pytest.raises(InputError, match="unknown suffix '.splat'"):
+    with pytest.raises(InputError, match=r"b\.splat: unknown suffix '.splat'; known: .ply"):
         write_model(tmp_path / "b.splat", found)
-
-
-def test_unknown_suffix(tmp_path):
-    with pytest.raises(InputError, match=r"a\.obj: unknown suffix '.obj'; known: .ply"):
-        write_model(tmp_path / "a.obj", random_gaussians())
 
 
 @pytest.mark.parametrize("suffix", [".spz", ".sog"])
@@ -273,10 +267,6 @@ def test_clouds(tmp_path):
     path.write_bytes("\n".join([*lines, ""]).encode() + np.repeat(table[:1], 60).tobytes())
     with pytest.raises(InputError, match="fewer than two places"):
         read_model(path)
-
-
-def test_every_format_is_tested():
-    assert set(SUFFIXES) == set(BOUNDS) | set(POINTS) == set(FORMATS)
 
 
 @pytest.mark.parametrize("has_colours", [False, True])

@@ -54,13 +54,11 @@ def test_case():
 
 
 @pytest.mark.parametrize("crs, scale", [
-    ("EPSG:4326", 1), ("EPSG:4979", 1), ("EPSG:28355", 1), ("EPSG:7855", 1), ("EPSG:3857", 1),
-    ("EPSG:32756", 1), ("EPSG:7844", 1), ("EPSG:32755+5773", 1), ("EPSG:4326+5773", 1),
+    ("EPSG:4979", 1), ("EPSG:28355", 1), ("EPSG:32755+5773", 1), ("EPSG:4326+5773", 1),
     ("EPSG:32755+6360", FOOT), ("+proj=utm +zone=55 +south +units=us-ft", FOOT)])
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_files_of_another_crs_are_converted(tmp_path, crs, scale, suffix, caplog):
+def test_files_of_another_crs_are_converted(tmp_path, crs, scale, caplog):
     flat = crs.partition("+")[0] if crs.startswith("EPSG") else crs
-    path = write(tmp_path / f"a{suffix}", in_crs(flat, scale), crs)
+    path = write(tmp_path / "a.laz", in_crs(flat, scale), crs)
     found = read_model(path, georeference=PLACE)
     assert np.abs(found.positions + found.offset - POINTS).max() < 0.01
     assert ("its points are converted from" in caplog.text) == (crs != "EPSG:32755+5773")

@@ -54,20 +54,6 @@ def test_layout(tmp_path):
                                   gaussians.sh_rest[:, band, channel])
 
 
-@pytest.mark.parametrize("log_scale, kind, error", [(-2.0, "f8", 1e-8), (8.0, "f4", 0.5)])
-def test_offset_is_double_where_float_would_show(tmp_path, log_scale, kind, error):
-    gaussians = random_gaussians(50, 0, log_scale)
-    write_ply(tmp_path / "a.ply", gaussians, UTM)
-    vertex = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]
-    assert [vertex.ply_property(n).val_dtype for n in ("x", "y", "z")] == [kind] * 3
-    world = np.stack([vertex[n] for n in ("x", "y", "z")], axis=1).astype(np.float64)
-    assert np.abs(world - (gaussians.positions.astype(np.float64) + UTM)).max() <= error
-    local = read_ply(tmp_path / "a.ply")
-    assert np.abs(local.positions - gaussians.positions).max() <= max(error, 1e-6)
-    other = read_ply(tmp_path / "a.ply", UTM + (100, 0, 0))
-    assert np.allclose(other.positions, local.positions - (100, 0, 0), atol=1e-4)
-
-
 def rewrite(path, change, text=False):
     """Write a model, as another program would, with a changed vertex table."""
     write_ply(path, random_gaussians(5, 1))
@@ -118,9 +104,7 @@ def test_unwritable(tmp_path):
         write_ply(tmp_path / "nowhere" / "a.ply", random_gaussians())
 
 
-# --- columns of the sphere
-
-COLUMNS = ["anchor_x", "anchor_y", "anchor_z", "max_offset"]
+COLUMNS = ["anchor_x", "anchor_y", "anchor_z", "max_offset"]  # of the sphere
 
 
 def with_spheres(gaussians):
@@ -139,13 +123,10 @@ def test_the_layout_is_the_standard_one_unless_spheres_are_requested(tmp_path, g
     assert set(read_ply(tmp_path / "b.ply").rows) == {f.name for f in LEARNED}
 
 
-@pytest.mark.parametrize("degree", [0, 3])
-@pytest.mark.parametrize("count", [0, 1, 7])
+@pytest.mark.parametrize("degree, count", [(0, 0), (3, 1), (0, (1 << 16) + 1)])
 def test_spheres_round_trip(tmp_path, degree, count):
     gaussians = with_spheres(random_gaussians(count, degree))
     write_ply(tmp_path / "a.ply", gaussians, sphere=True)
-    vertex = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]
-    assert [p.name for p in vertex.properties][-4:] == COLUMNS
     found = read_ply(tmp_path / "a.ply")
     assert equal(found, gaussians)
     for f in SPHERE:
@@ -154,35 +135,30 @@ def test_spheres_round_trip(tmp_path, degree, count):
 
 
 @pytest.mark.parametrize("log_scale, kind, error", [(-2.0, "f8", 1e-8), (8.0, "f4", 0.5)])
-def test_anchors_move_with_the_offset_and_sizes_do_not(tmp_path, log_scale, kind, error):
+def test_places_move_with_the_offset_and_are_double_if_float_would_show(tmp_path, log_scale, kind,
+                                                                        error):
     gaussians = with_spheres(random_gaussians(50, 0, log_scale))
     write_ply(tmp_path / "a.ply", gaussians, UTM, sphere=True)
     vertex = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]
-    assert [vertex.ply_property(n).val_dtype for n in COLUMNS] == [kind] * 3 + ["f4"]
-    world = np.stack([vertex[n] for n in COLUMNS[:3]], axis=1).astype(np.float64)
-    assert np.abs(world - (gaussians.anchors.astype(np.float64) + UTM)).max() <= error
-    local = read_ply(tmp_path / "a.ply")
-    assert np.abs(local.anchors - gaussians.anchors).max() <= max(error, 1e-6)
-    assert np.array_equal(local.max_offsets, gaussians.max_offsets)
-    other = read_ply(tmp_path / "a.ply", UTM + (100, 0, 0))
-    assert np.allclose(other.anchors, local.anchors - (100, 0, 0), atol=1e-4)
+    local, other = read_ply(tmp_path / "a.ply"), read_ply(tmp_path / "a.ply", UTM + (100, 0, 0))
+    for names, field in (("xyz", "positions"), (COLUMNS[:3], "anchors")):
+        assert {vertex.ply_property(name).val_dtype for name in names} == {kind}
+        world = np.stack([vertex[name] for name in names], axis=1).astype(np.float64)
+        values = gaussians.rows[field]
+        assert np.abs(world - (values.astype(np.float64) + UTM)).max() <= error
+        assert np.abs(local.rows[field] - values).max() <= max(error, 1e-6)
+        assert np.allclose(other.rows[field], local.rows[field] - (100, 0, 0), atol=1e-4)
+    assert vertex.ply_property(COLUMNS[3]).val_dtype == "f4"
     assert np.array_equal(other.max_offsets, gaussians.max_offsets)
 
 
-def test_many_rows_of_spheres(tmp_path):
-    gaussians = with_spheres(random_gaussians((1 << 16) + 1, 0))
-    write_ply(tmp_path / "a.ply", gaussians, sphere=True)
-    assert np.array_equal(read_ply(tmp_path / "a.ply").anchors, gaussians.anchors)
-
-
-@pytest.mark.parametrize("column", COLUMNS)
-def test_incomplete_or_non_finite_spheres(tmp_path, column):
+def test_incomplete_or_non_finite_spheres(tmp_path):
     path = tmp_path / "a.ply"
     write_ply(path, with_spheres(random_gaussians(5, 1)), sphere=True)
     table = np.array(plyfile.PlyData.read(path)["vertex"].data)
-    plyfile.PlyData([plyfile.PlyElement.describe(without(column)(table), "vertex")]).write(path)
+    plyfile.PlyData([plyfile.PlyElement.describe(without(COLUMNS[3])(table), "vertex")]).write(path)
     assert equal(read_ply(path), random_gaussians(5, 1))
     assert set(read_ply(path).rows) == {f.name for f in LEARNED}
-    table[column][2] = np.nan
+    table[COLUMNS[0]][2] = np.nan
     plyfile.PlyData([plyfile.PlyElement.describe(table, "vertex")]).write(path)
     refused(path, "1 of 5 rows hold numbers that are not finite")

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from clsplat.gaussians import Gaussians
 from clsplat.io.models.formats import read_model, write_model
 from tests.io.models.test_formats import BOUNDS, compare, model, turns, world
 
@@ -114,11 +113,3 @@ def test_our_gltf_is_its_gltf(tmp_path, convert):
         else:
             tolerance = 1 if name == "COLOR_0" else 1e-5
             assert np.abs(ours[name].astype(float) - values).max() <= tolerance, name
-
-
-def test_one_gaussian(tmp_path, convert):
-    one = Gaussians({name: values[:1] for name, values in uneven(1).rows.items()}, 1)
-    for suffix in (".sog", ".spz"):
-        write_model(tmp_path / f"a{suffix}", one)
-        compare(read_model(convert(tmp_path / f"a{suffix}", tmp_path / "b.ply")), one,
-                BOUNDS[suffix])

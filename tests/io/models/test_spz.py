@@ -45,7 +45,7 @@ def version_4(folder, count=7, degree=3, *, extra=b"", flags=0, change=lambda ta
     return path
 
 
-@pytest.mark.parametrize("count, degree", [(7, 3), (1, 2), (40, 1), (5, 0), (0, 0)])
+@pytest.mark.parametrize("count, degree", [(7, 3), (40, 1), (0, 0)])
 def test_version_4_holds_what_version_3_does(tmp_path, count, degree):
     path = version_4(tmp_path, count, degree, flags=1)
     assert equal(read_model(path), read_model(tmp_path / "v3.spz"))
@@ -85,17 +85,12 @@ def frame(content):
 
 
 @pytest.mark.parametrize("options, words", [
-    ({"number": 5}, "table of 5 streams"), ({"number": 7}, "table of 7 streams"),
     ({"number": 255}, "table of 255 streams"),
     ({"change": lambda t: [(1 << 60, 63), *t[1:]]}, "claims to hold"),
     ({"change": lambda t: [(t[0][0], 1 << 50), *t[1:]]}, "claims to hold 1125899906842624"),
-    ({"change": lambda t: [(0, 63), *t[1:]]}, "damaged"),
-    ({"change": lambda t: t[::-1]}, "claims to hold"),
     ({"flags": 2, "extra": struct.pack("<II", OTHER_AXES, 4) + b"\1\0\0\0"}, "other axes"),
     ({"flags": 2, "extra": struct.pack("<II", 1, 1 << 31)}, "extensions are cut short"),
-    ({"flags": 2, "extra": b"abc"}, "extensions are cut short"),
     ({"frames": 6 * [b"no Zstandard"]}, "damaged"),
-    ({"frames": 6 * [frame(bytes(7 * 3))]}, "more or less"),
     ({"frames": 6 * [frame(bytes(1 << 26))]}, "more or less"),
 ])
 def test_damage(tmp_path, options, words):
@@ -107,13 +102,12 @@ def test_damage(tmp_path, options, words):
     tracemalloc.stop()
 
 
-@pytest.mark.parametrize("version", [0, 5, 1 << 31])
-def test_other_versions_are_named(tmp_path, version):
-    data = bytearray(gzip.decompress(gzip.compress(version_4(tmp_path).read_bytes())))
-    data[4:8] = struct.pack("<I", version)
+def test_other_versions_are_named(tmp_path):
+    data = bytearray(version_4(tmp_path).read_bytes())
+    data[4:8] = struct.pack("<I", 5)
     for content in (data, gzip.compress(data)):
         (tmp_path / "a.spz").write_bytes(content)
-        with pytest.raises(InputError, match=f"versions 1 to 4 are read, not {version}"):
+        with pytest.raises(InputError, match="versions 1 to 4 are read, not 5"):
             read_model(tmp_path / "a.spz")
 
 
