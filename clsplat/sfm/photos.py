@@ -26,16 +26,8 @@ DEFAULT_FOCAL = 1.2  # of the long side of a photo, COLMAP's value where nothing
 
 @dataclass(frozen=True)
 class SourcePhoto:
-    """A photo from which a scene is reconstructed.
-
-    Attributes
-    ----------
-    name : of the photo within the folder, with slashes.
-    path : of its file.
-    metadata : from its header.
-    mask : the file of its mask (io/photos/masks.py), or None.
-    levels : as of `scene.View`.
-    """
+    """A photo from which a scene is reconstructed: its name within the folder, with slashes, its
+    file, what its header holds, the file of its mask, and levels as of `scene.View`."""
 
     name: str
     path: Path

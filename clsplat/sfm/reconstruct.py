@@ -248,13 +248,7 @@ def _photos(source: Path, options: SfmOptions, progress: Progress
 
 
 class Unfinished:
-    """The folder .sfm of a scene, which is made.
-
-    Attributes
-    ----------
-    folder : its path.
-    frames : a folder, of a video.
-    """
+    """The folder .sfm of a scene, which is made, and in it that of the frames of a video."""
 
     def __init__(self, scene: Path) -> None:
         self.folder = scene / UNFINISHED
@@ -262,16 +256,12 @@ class Unfinished:
         make_folder(self.folder)
 
     def open(self, photos: Sequence[SourcePhoto], options: dict[str, Any], overwrite: bool) -> bool:
-        """Begin or continue a reconstruction; whether it continues.
+        """Begin or continue a reconstruction; whether it continues. InputError if the folder has
+        what other photos or options left, which may not be overwritten.
 
         Parameters
         ----------
         options : on which features, matches and poses depend.
-        overwrite : whether what other photos or options left may be removed.
-
-        Raises
-        ------
-        InputError : the folder has what other photos or options left, or is damaged.
         """
         state = {"options": options, "photos": [
             [photo.name, photo.path.stat().st_size, str(photo.mask)] for photo in photos]}

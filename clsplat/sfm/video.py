@@ -43,12 +43,7 @@ def extract_frames(path: Path, folder: Path, count: int, progress: Progress) -> 
     Parameters
     ----------
     path : of a video that `check_video` has passed.
-    folder : of the frames, which is created.
-    count : how many there shall be at most.
-
-    Raises
-    ------
-    InputError : the file is not a video that PyAV can decode.
+    folder : of the frames, which is created; there are `count` at most.
     """
     identity = f"{os.path.realpath(path)} {path.stat().st_size} {count}".encode(errors="replace")
     marker = folder.with_name(DONE)

@@ -29,12 +29,8 @@ MILLIMETRE = 1e-3
 
 
 def with_depths(scene: Scene, images: str) -> Scene:
-    """The scene with the depth maps of its photos.
-
-    Parameters
-    ----------
-    images : the folder of the maps, relative to the scene's; "": none. A map that a view has stays.
-    """
+    """The scene with the depth maps that a folder, relative to the scene's, has for its photos; "":
+    none. A map that a view has stays."""
     if not images:
         return scene
     folder = (scene.path if scene.path.is_dir() else scene.path.parent) / images
@@ -73,16 +69,8 @@ def _nearest(low: int, high: int, count: int, most: int) -> NDArray[np.int64]:
 
 
 def undistorted_depth(view: View, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Read the depth map of a view with a lens, and undistort the whole of it.
-
-    Parameters
-    ----------
-    pixels : float32[2, H, W], the `pixel_map` of the lens.
-
-    Returns
-    -------
-    float32[H, W], in the scene's original units; 0 is no depth.
-    """
+    """Read the depth map of a view with a lens and undistort it by the lens's `pixel_map`:
+    float32[H, W] in the scene's original units; 0 is no depth."""
     depth, lens = _stored(view), view.lens
     assert lens is not None
     height, width = depth.shape

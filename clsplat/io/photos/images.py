@@ -55,15 +55,9 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
 
     Parameters
     ----------
-    pixels : uint8[H, W, 3], or float[H, W, 3] in 0..1 (clipped; NaN is black), sRGB.
-    suffix : of the format, such as "png".
-    quality : of JPEG, 1 to 100.
-    name : of the image, for messages.
+    pixels, quality : as for `write_image`.
+    suffix, name : of the format, such as "png", and of the image for messages.
     attributes : further ones of OpenImageIO for this format.
-
-    Raises
-    ------
-    InputError : the format is unknown, or its writer fails.
     """
     import OpenImageIO as oiio
 
@@ -117,14 +111,8 @@ def read_image(source: Source, size: tuple[int, int] | None = None,
 def image_bands(source: Source, size: tuple[int, int],
                 window: tuple[int, int, int, int] | None = None,
                 levels: Levels | None = None) -> Iterator[NDArray[np.uint8]]:
-    """Yield what `read_image` reads from the top down, uint8[n, W, 3] each.
-
-    Where the format allows, no more than a few rows of the photo are in memory at once.
-
-    Parameters
-    ----------
-    source, size, window, levels : as for `read_image`.
-    """
+    """Yield what `read_image` reads from the top down, uint8[n, W, 3] each; where the format
+    allows, no more than a few rows of the photo are in memory at once."""
     with opened(source) as photo:
         photo.levels = levels
         yield from _bands(photo, size, window or (0, 0, photo.width, photo.height))

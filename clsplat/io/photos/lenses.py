@@ -72,10 +72,6 @@ def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
     -------
     The arrays, with those of the pinhole cameras, the observations in these, `lenses` [V] (None for
     a pinhole camera) and `files` [V], the name of the stored photo: a wide lens has several views.
-
-    Raises
-    ------
-    InputError : for a lens that cannot be undistorted.
     """
     if not any(models):
         lenses = np.full(len(models), None, object)
@@ -192,11 +188,9 @@ def _sides(lens: Lens) -> list[NDArray[np.float64]]:
 
 
 def _single(lens: Lens, focal: tuple[float, float], borders: list[NDArray[np.float64]]) -> Lens:
-    """The lens with one pinhole camera.
-
-    Its image is the largest rectangle without uncovered pixels, or where that would lose too many
-    pixels of the photo, the smallest rectangle that has them all, within limits.
-    """
+    """The lens with one pinhole camera, whose image is the largest rectangle without uncovered
+    pixels or, where that would lose too much of the photo, the smallest that has all of it, within
+    limits."""
     most = np.tan(np.radians(MOST_DEGREES))
     with np.errstate(all="ignore"):
         ends = [ray[:, :2] / np.where(ray[:, 2:] > 0, ray[:, 2:], np.nan) for ray in borders]
@@ -232,12 +226,8 @@ def _lost(lens: Lens, inner: Sequence[float]) -> float:
 
 
 def pixel_map(lens: Lens) -> NDArray[np.float32]:
-    """Where the pixels of the undistorted photo lie in the stored one.
-
-    Returns
-    -------
-    float32[2, H, W]: x and y in pixels of the lens's size, nan where it does not show them.
-    """
+    """Where the pixels of the undistorted photo lie in the stored one: float32[2, H, W], x and y in
+    pixels of the lens's size, nan where it does not show them."""
     result = np.empty((2, lens.height, lens.width), np.float32)
     step = max(1, BAND_PIXELS // lens.width)
     x, least = np.arange(lens.width) + 0.5, _least_forward(lens)
@@ -327,12 +317,8 @@ def _camera(lens: Lens) -> Any:
 
 
 class Brown:
-    """A camera with the model BROWN_K4; as much of pycolmap.Camera as is used here.
-
-    Parameters
-    ----------
-    parameters : fx, fy, cx, cy, k1, k2, k3, k4, p1, p2; pixels.
-    """
+    """A camera with the model BROWN_K4 (fx, fy, cx, cy, k1, k2, k3, k4, p1, p2; pixels); as much of
+    pycolmap.Camera as is used here."""
 
     def __init__(self, parameters: Sequence[float]) -> None:
         values = np.array(parameters, np.float64)

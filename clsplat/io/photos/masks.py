@@ -47,16 +47,12 @@ def mask_folders(folder: Path) -> list[Path]:
 
 
 class MaskFiles:
-    """Finds the masks of photos.
+    """Finds the masks of photos; `used` has those that were found.
 
     Parameters
     ----------
     folders : of masks, in which they have the names of photos.
     beside : whether masks are also searched beside each photo, and in folders beside it.
-
-    Attributes
-    ----------
-    used : masks that were found.
     """
 
     def __init__(self, folders: Iterable[Path], beside: bool = True) -> None:
@@ -65,13 +61,7 @@ class MaskFiles:
         self.used: set[Path] = set()
 
     def of(self, name: str, photo: Path | None = None) -> Path | None:
-        """The mask of a photo; None: it has none.
-
-        Parameters
-        ----------
-        name : of the photo below the folders, with slashes.
-        photo : its file.
-        """
+        """The mask of a photo of this name below the folders and this file; None: it has none."""
         relative = Path(name)
         places = [((folder / relative).parent, False) for folder in self._folders]
         if photo is not None and self._beside:
@@ -139,26 +129,15 @@ def photo_size(view: View) -> tuple[int, int]:
 
 
 def check_shape(name: str | Path, kind: str, size: tuple[int, int], photo: tuple[int, int]) -> None:
-    """Check that a mask or a depth map has the shape of its photo, at any size.
-
-    Parameters
-    ----------
-    name, kind : of the image, for the message.
-    size, photo : (width, height) of the image and of the photo, pixels.
-    """
+    """Check that a mask or a depth map has the shape of its photo; sizes are (width, height)."""
     if abs(size[0] * photo[1] / (size[1] * photo[0]) - 1) > TOLERANCE:
         raise InputError(f"{name}: the {kind} has {size[0]}x{size[1]} pixels and its photo "
                          f"{photo[0]}x{photo[1]}; make it for this photo")
 
 
 def read_mask(source: Source, name: str | Path, photo: tuple[int, int]) -> NDArray[np.bool_]:
-    """Read which pixels of a photo count, by its mask: bool[h, w], of any size.
-
-    Parameters
-    ----------
-    source, name : of the mask; the name is for messages.
-    photo : (width, height) of the photo as it is stored, pixels.
-    """
+    """Read which pixels of a stored photo of this size (width, height) count, by its mask: bool[h,
+    w] of any size. The name is for messages."""
     with opened(source) as mask:
         bright, row, most = np.empty((mask.height, mask.width), bool), 0, 0
         for band in mask.bands(0, mask.height):
@@ -173,13 +152,8 @@ def read_mask(source: Source, name: str | Path, photo: tuple[int, int]) -> NDArr
 
 
 def unmasked(mask: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Bring a mask to another size; a pixel counts if all pixels do that it covers.
-
-    Parameters
-    ----------
-    mask : bool[h, w].
-    size : (width, height) of the result.
-    """
+    """Bring a mask bool[h, w] to a size (width, height); a pixel counts if all that it covers
+    do."""
     if mask.all():
         return np.ones(size[::-1], bool)
     share = resample(mask[:, :, None] * np.uint8(255), size)[:, :, 0]

@@ -86,16 +86,7 @@ class PhotoMetadata:
 
 
 def read_metadata(path: str | Path) -> PhotoMetadata:
-    """Read the metadata of a photo from its header.
-
-    Parameters
-    ----------
-    path : of the photo.
-
-    Raises
-    ------
-    InputError : the file is not a photo that can be read.
-    """
+    """Read the metadata of a photo from its header; InputError if the file is none."""
     with opened(path) as photo:
         latitude, longitude = _position(photo)
         return PhotoMetadata(

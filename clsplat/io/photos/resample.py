@@ -24,15 +24,11 @@ def band_rows(width: int, channels: int = 3) -> int:
 
 
 def resample(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Resample an image; each new pixel is the mean of the area that it covers.
+    """Resample an image uint8[H, W, channels] to a size (width, height); each new pixel is the mean
+    of the area that it covers.
 
     OpenImageIO's box filter is equal for whole ratios, but for others it gives every touched pixel
     its full weight, which shifts edges by a quarter pixel.
-
-    Parameters
-    ----------
-    pixels : uint8[H, W, channels].
-    size : (width, height) of the result.
     """
     height, width = pixels.shape[:2]
     step = band_rows(width, pixels.shape[2])
@@ -42,14 +38,8 @@ def resample(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uin
 
 def joined(bands: Iterable[NDArray[np.uint8]], size: tuple[int, int], channels: int = 3
            ) -> NDArray[np.uint8]:
-    """The whole image, uint8[H, W, channels], of bands in order that are dropped one by one.
-
-    Parameters
-    ----------
-    bands : uint8[n, W, channels] each, from the top down.
-    size : (width, height) of the image.
-    channels : of the image.
-    """
+    """The image uint8[H, W, channels] of this size (width, height), of bands uint8[n, W, channels]
+    from the top down, which are dropped one by one."""
     whole, row = np.empty((size[1], size[0], channels), np.uint8), 0
     for band in bands:
         whole[row:row + len(band)] = band
@@ -59,8 +49,8 @@ def joined(bands: Iterable[NDArray[np.uint8]], size: tuple[int, int], channels: 
 
 def resampled_bands(bands: Iterable[NDArray[np.uint8]], old: tuple[int, int], size: tuple[int, int]
                     ) -> Iterator[NDArray[np.uint8]]:
-    """Yield the rows of `resample` of an image that arrives in bands, uint8[n, width, channels]
-    each, from the top down; the rows do not depend on the heights of the bands.
+    """Yield the rows of `resample` of an image that arrives in bands, from the top down; they do
+    not depend on the heights of the bands.
 
     Parameters
     ----------

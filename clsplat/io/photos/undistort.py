@@ -37,16 +37,8 @@ PIXEL_BYTES = 10  # of a pixel, while it is undistorted in a thread, beside the 
 
 
 def undistorted_photo(view: View, pixels: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Read the photo of a view with a lens, and undistort the whole of it.
-
-    Parameters
-    ----------
-    pixels : float32[2, H, W], the `pixel_map` of the lens.
-
-    Returns
-    -------
-    uint8[H, W, 3], black where the stored photo does not show it.
-    """
+    """Read the photo of a view with a lens and undistort it by the lens's `pixel_map`: uint8[H, W,
+    3], black where the stored photo does not show it."""
     stored = read_image(view.source, levels=view.levels)
     photo = np.zeros((*pixels.shape[1:], 3), np.uint8)
     for patch in _patches(view.lens, stored.shape, pixels):
@@ -57,12 +49,7 @@ def undistorted_photo(view: View, pixels: NDArray[np.float32]) -> NDArray[np.uin
 
 def undistorted_valid(view: View, pixels: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     """Read which pixels of a view with a lens count, bool[H, W]; None: all. Those do not that the
-    stored photo does not show, or in which masked pixels have a share.
-
-    Parameters
-    ----------
-    pixels : float32[2, H, W], the `pixel_map` of the lens.
-    """
+    stored photo does not show, or in which masked pixels have a share."""
     valid = np.isfinite(pixels[0])
     for mask in stored_masks(view):
         mask = unmasked(mask, image_size(view.source))

@@ -43,10 +43,8 @@ class Cloud:
 
 
 def read_cloud(folder: Path, ply: Path | None, transform: NDArray[np.float64]) -> Cloud | None:
-    """Read the points of a scene folder.
-
-    The first of these is used: points3D.ply, sparse_pc.ply, a COLMAP model in the folder or in
-    colmap/; None if all are missing.
+    """Read the points of a scene folder: points3D.ply, sparse_pc.ply, or else a COLMAP model in the
+    folder or in colmap/; None if all are missing.
 
     Parameters
     ----------
@@ -83,15 +81,7 @@ def sample_points(path: str | Path, views: Sequence[View]) -> NDArray[np.float64
     Each point lies on the ray of a random pixel of a random view, at a depth whose logarithm is
     uniform from 0.5 to 8 times the distance to the 16th nearest view, and is kept if one of those
     16 views sees it too, from a direction at least a degree apart. The same views give the same
-    points (seed 0).
-
-    Parameters
-    ----------
-    path : the file that messages name.
-
-    Raises
-    ------
-    InputError : hardly a point is kept.
+    points (seed 0). InputError, which names the path, if hardly a point is kept.
     """
     random = np.random.default_rng(0)
     count = min(POINTS_A_VIEW * len(views), MOST_POINTS)

@@ -61,16 +61,8 @@ class Image(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Points in the order of the file.
-
-    Attributes
-    ----------
-    ids : int64[N].
-    positions : float64[N, 3], world.
-    colours : uint8[N, 3].
-    lengths : int64[N], of the points' tracks.
-    images : int64[M], the image ids of all tracks, one track after the other.
-    """
+    """N points in the order of the file: `lengths` [N] are those of their tracks, and `images` the
+    image ids of all tracks, one track after the other."""
 
     ids: NDArray[np.int64]
     positions: NDArray[np.float64]

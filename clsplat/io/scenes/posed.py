@@ -29,15 +29,8 @@ FLIPPED = np.array([1.0, -1.0, -1.0])  # camera axes right, up, back to right, d
 
 @dataclass(frozen=True)
 class Optics:
-    """The camera model of a photo, with pixels as in COLMAP: (0, 0) is the outer corner of the
-    first.
-
-    Attributes
-    ----------
-    size : (width, height), pixels.
-    focal, centre : (x, y), pixels.
-    model : COLMAP's name and parameters; None: a pinhole camera.
-    """
+    """The camera model of a photo: size, focal length and centre in pixels as in COLMAP, where (0,
+    0) is the outer corner of the first; `model` is None for a pinhole camera."""
 
     size: tuple[int, int]
     focal: tuple[float, float]
@@ -124,16 +117,11 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
 
 def exact_poses(rotations: NDArray[np.float64], positions: NDArray[np.float64]
                 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rotations float64[V, 3, 3] and translations float64[V, 3] of cameras.
+    """Rotations float64[V, 3, 3] and translations float64[V, 3] of cameras, world to camera, of
+    their rotations as files have them and their positions float64[V, 3].
 
     Files are rounded: an error of 1e-6 in a rotation would move a camera at UTM coordinates by
-    metres. Nearly orthonormal matrices become the nearest rotation; others are left, and refused
-    later.
-
-    Parameters
-    ----------
-    rotations : float64[V, 3, 3], world to camera.
-    positions : float64[V, 3], the optical centres, world.
+    metres. Nearly orthonormal matrices become the nearest rotation; others are refused later.
     """
     exact = rotations.copy()
     with np.errstate(all="ignore"):

@@ -65,12 +65,8 @@ def _write_encoded(folder: Path, view: View, suffix: str) -> None:
 
 
 def _files(folder: Path, view: View, photo: bool = True) -> Iterator[tuple[Path, Path]]:
-    """(photo, mask or depth map, its place in a folder), of those that are files.
-
-    Parameters
-    ----------
-    photo : whether photo and mask are among them; a map of a lens is of use with its photo only.
-    """
+    """(photo, mask or depth map, its place in a folder), of those that are files; photo and mask
+    only if asked for. A map of a lens is of use with its photo only."""
     if photo and isinstance(view.source, Path):
         yield view.source, folder / "images" / view.name
     if photo and isinstance(view.mask, Path):
