@@ -5,7 +5,8 @@ import pyproj
 import pytest
 from scipy.spatial import cKDTree
 
-from clsplat.apps.tiles import placement, tile_tree, upright, write_tiles
+from clsplat.apps.models import turned_up
+from clsplat.apps.tiles import Z_UP, placement, tile_tree, write_tiles
 from clsplat.edit.select import merged
 from clsplat.georeference import Georeference
 from clsplat.io.models.formats import read_with_notes
@@ -113,7 +114,7 @@ def test_the_tileset_keeps_the_rules_of_3d_tiles(tmp_path):
 def test_a_viewer_has_the_model_that_was_written(tmp_path):
     """Positions, sizes, turns, colours and harmonics, of a model that must be turned upright."""
     up, written_model = np.array([0.0, -0.6, -0.8]), model(300, 2, (3.0, -50.0, 7.0))
-    expected = upright(written_model, up)
+    expected = turned_up(written_model, up, Z_UP)
     tileset, tiles = written(tmp_path, tile_tree(expected, limit=90))
     transform = np.reshape(tileset["root"]["transform"], (4, 4)).T
     leaves = []
