@@ -159,7 +159,7 @@ def test_the_largest_model_is_used_and_told(tmp_path):
     assert len(scene.views) == 4 and scene.notes == ()
     (folder / "sparse/1").rename(folder / "sparse/0")
     scene = read_scene(folder)
-    assert len(scene.views) == 2 and "sparse/10 has 4" in scene.notes[0]
+    assert len(scene.views) == 2 and "sparse/10 is larger" in scene.notes[0]
 
 
 def test_notes_on_photos(tmp_path):

@@ -239,8 +239,6 @@ def _input(source: Source) -> Iterator[tuple[str | Path, Any]]:
     try:
         with open_regular(source) as file:
             size = file.seek(0, 2)
-    except FileNotFoundError:
-        raise InputError(f"{source}: no such image; check the path") from None
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{str(source)[:MOST_CHARACTERS]}: the image cannot be read ({why}); "

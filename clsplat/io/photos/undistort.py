@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +24,11 @@ from clsplat.io.photos.images import image_size, read_image, write_image
 from clsplat.io.photos.lenses import PANORAMA, pixel_map
 from clsplat.io.photos.masks import stored_masks, unmasked
 from clsplat.io.photos.resample import Patch, patches
-from clsplat.io.records import object_of, write_object
 from clsplat.scene import Scene, View
 
-DEPTH = ".depth.npy"
 QUALITY = 98  # of JPEG; photos in other formats become PNG
 FOLDER = "undistorted"  # of a run or a city
-VERSION = 3  # of the undistorted files
+VERSION = 4  # of the undistorted files
 HOST_BYTES = 640 << 20  # of the photos that are undistorted at the same time
 PIXEL_BYTES = 10  # of a pixel, while it is undistorted in a thread, beside the map of the lens
 
@@ -102,57 +99,29 @@ def undistorted(scene: Scene, folder: Path, threads: int = 1, make: bool = True)
 
 
 def _paths(view: View, folder: Path) -> tuple[Path, Path, Path]:
-    """The files of a view: its undistorted photo, its mask and the record of both."""
-    assert isinstance(view.source, Path)
-    readable = re.sub(r"[^\w.-]", "_", view.name, flags=re.ASCII)[:80]
-    stem = f"{readable}.{hashlib.sha256(view.name.encode()).hexdigest()[:8]}"
-    suffix = ".jpg" if view.source.suffix.lower() in (".jpg", ".jpeg") else ".png"
-    return folder / f"{stem}{suffix}", folder / f"{stem}.mask.png", folder / f"{stem}.json"
-
-
-def _make(folder: Path, pixels: NDArray[np.float32], view: View) -> None:
-    """Write the files of a view; the record last."""
-    content, known_depth = _content(view), _file_facts(view.depth)
-    path, mask, record = _paths(view, folder)
-    write_image(path, undistorted_photo(view, pixels), QUALITY)
-    valid = undistorted_valid(view, pixels)
-    if valid is not None:
-        write_image(mask, np.repeat(valid[:, :, None], 3, axis=2) * np.uint8(255))
-    if view.depth:
-        depth = undistorted_depth(view, pixels)
-        with replacing(path.with_suffix(DEPTH)) as file:
-            np.save(file, depth, allow_pickle=False)
-    write_object(record, {"content": content, "masked": valid is not None, "depth": known_depth})
-
-
-def _kept(view: View, folder: Path) -> View | None:
-    """The view with its files in place of its lens; None if one is missing, or if they were made
-    from another photo, mask, depth map or lens."""
-    photo, mask, record = _paths(view, folder)
-    try:
-        known = object_of(record.read_bytes())
-        found = replace(view, source=photo, lens=None, mask=mask if known["masked"] else None,
-                        transparent=False, levels=None,
-                        depth=view.depth and photo.with_suffix(DEPTH))
-    except (OSError, ValueError, KeyError):
-        return None
-    files = [path for path in (photo, found.mask, found.depth) if isinstance(path, Path)]
-    fresh = (known.get("content") == _content(view) and all(path.is_file() for path in files)
-             and (view.depth is None or known.get("depth") == _file_facts(view.depth)))
-    return found if fresh else None
-
-
-def _content(view: View) -> str:
-    """A digest of all that an undistorted photo and its mask are made from."""
+    """The undistorted photo of a view, its mask and its depth map, named after what they are made
+    from."""
     lens = view.lens
-    assert lens is not None
-    facts = [VERSION, QUALITY, lens.model, lens.size, lens.parameters, lens.rotation.tolist(),
-             lens.width, lens.height, lens.focal, lens.centre, view.transparent, view.levels,
-             _file_facts(view.source), _file_facts(view.mask)]
-    return hashlib.sha256(repr(facts).encode()).hexdigest()
+    assert lens is not None and isinstance(view.source, Path)
+    content = [VERSION, QUALITY, lens.model, lens.size, lens.parameters, lens.rotation.tolist(),
+               lens.width, lens.height, lens.focal, lens.centre, view.transparent, view.levels,
+               _file_facts(view.source), _file_facts(view.mask)]
+    stem = f"{_stem(view)}.{_digest(content)}"
+    suffix = ".jpg" if view.source.suffix.lower() in (".jpg", ".jpeg") else ".png"
+    return (folder / f"{stem}{suffix}", folder / f"{stem}.mask.png",
+            folder / f"{stem}.{_digest(_file_facts(view.depth))}.npy")
 
 
-def _file_facts(path: object) -> list[Any] | None:
+def _stem(view: View) -> str:
+    readable = re.sub(r"[^\w.-]", "_", view.name, flags=re.ASCII)[:80]
+    return f"{readable}.{_digest(view.name)}"
+
+
+def _digest(value: object) -> str:
+    return hashlib.sha256(repr(value).encode()).hexdigest()[:16]
+
+
+def _file_facts(path: object) -> tuple[str, int, int] | None:
     """By which a changed file is recognised; None without one."""
     if not isinstance(path, Path):
         return None
@@ -160,4 +129,28 @@ def _file_facts(path: object) -> list[Any] | None:
         status = path.stat()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); put it back") from None
-    return [path.name, status.st_size, status.st_mtime_ns]
+    return path.name, status.st_size, status.st_mtime_ns
+
+
+def _make(folder: Path, pixels: NDArray[np.float32], view: View) -> None:
+    """Write the files of a view in place of older ones; the photo last."""
+    photo, mask, depth = _paths(view, folder)
+    for old in folder.glob(f"{_stem(view)}.*"):
+        old.unlink()
+    valid = undistorted_valid(view, pixels)
+    if valid is not None:
+        write_image(mask, np.repeat(valid[:, :, None], 3, axis=2) * np.uint8(255))
+    if view.depth:
+        with replacing(depth) as file:
+            np.save(file, undistorted_depth(view, pixels), allow_pickle=False)
+    write_image(photo, undistorted_photo(view, pixels), QUALITY)
+
+
+def _kept(view: View, folder: Path) -> View | None:
+    """The view with its files in place of its lens; None if they were made from another photo,
+    mask, depth map or lens, or not at all."""
+    photo, mask, depth = _paths(view, folder)
+    if not photo.is_file() or view.depth and not depth.is_file():
+        return None
+    return replace(view, source=photo, lens=None, mask=mask if mask.is_file() else None,
+                   transparent=False, levels=None, depth=view.depth and depth)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.io.photos.lenses import undistorted_model
 from clsplat.io.reason import reason
-from clsplat.io.regular import open_regular, read_regular
 from clsplat.io.scenes.checks import checked_scene
 from clsplat.io.scenes.colmap_files import (
     PARTS,
@@ -55,7 +54,13 @@ def read_colmap(folder: str | Path, images: str = "") -> Scene:
     photos = photo_folder(folder, images)
     sources = [photos / name for name in arrays["files"]]
     scene = checked_scene(model, folder.resolve().name, arrays, sources)
-    scene = replace(scene, path=folder, notes=tuple(_model_notes(folder, model)))
+    scene, largest = replace(scene, path=folder), max(
+        _numbered_models(folder), key=_bytes, default=model)
+    if model.parent.name == "sparse" and _bytes(largest) > _bytes(model):
+        scene = replace(scene, notes=(
+            f"the model sparse/{model.name} is used, and sparse/{largest.name} is larger: COLMAP "
+            "has split the scene; to train the larger part, move it to sparse/0 of a folder of its "
+            "own",))
     may_be_smaller = bool(images) or photos.name != IMAGES
     return checked_photos(scene, photos if may_be_smaller else None).recentred()
 
@@ -121,19 +126,10 @@ def _find_model(folder: Path) -> Path:
             return model
     others = _numbered_models(folder)
     if others:
-        return max(others, key=_registered)
+        return max(others, key=_bytes)
     raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; of "
                      "photos, make a scene with `clsplat sfm` or let `clsplat train` do it "
                      "(docs/guide/photos.md), or give another folder")
-
-
-def _model_notes(folder: Path, model: Path) -> Iterator[str]:
-    """A note for the user if another model of a scene folder has more images."""
-    largest = max(_numbered_models(folder), key=_registered, default=model)
-    if model.parent.name == "sparse" and _registered(largest) > _registered(model):
-        yield (f"the model sparse/{model.name} is used, with {_registered(model)} images, and "
-               f"sparse/{largest.name} has {_registered(largest)}: COLMAP has split the scene; to "
-               "train the larger part, move it to sparse/0 of a folder of its own")
 
 
 def _is_model(folder: Path) -> bool:
@@ -146,16 +142,9 @@ def _numbered_models(folder: Path) -> list[Path]:
                    if path.name.isdecimal() and _is_model(path)), key=lambda path: int(path.name))
 
 
-def _registered(model: Path) -> int:
-    """How many images a model claims to have; 0 if it is damaged."""
-    try:
-        if (model / "images.bin").exists():
-            with open_regular(model / "images.bin") as file:
-                return int.from_bytes(file.read(8), "little")
-        lines = read_regular(model / "images.txt").splitlines()
-        return sum(not line.startswith(b"#") for line in lines) // 2
-    except OSError:
-        return 0
+def _bytes(model: Path) -> int:
+    """The size of a model's file of images, by which the largest of several is found."""
+    return max((path.stat().st_size for path in model.glob("images.*")), default=0)
 
 
 def _model_arrays(model: Path, may_be_empty: Collection[str]) -> dict[str, NDArray[Any]]:

@@ -75,14 +75,6 @@ def test_other_photos_are_read_as_they_were(tmp_path, samples):
     assert levels_of([tmp_path / "a.tif"]) == [None]
 
 
-def test_only_deep_photos_of_a_mixed_set_are_stretched(tmp_path):
-    tifffile.imwrite(tmp_path / "a.tif", ramp(0))
-    Image.fromarray(ramp(1).astype(np.uint8)).save(tmp_path / "b.png")
-    Image.fromarray(ramp(1).astype(np.uint8)).save(tmp_path / "c.jpg")
-    found = levels_of([tmp_path / name for name in ("a.tif", "b.png", "c.jpg")])
-    assert found[0] and found[1:] == [None, None] and levels_note(found).startswith("1 of 3")
-
-
 def test_dead_pixels_do_not_count(tmp_path):
     samples = np.tile(ramp(0), (6, 6))
     samples[3, 5], samples[7, 9] = 0, 65535

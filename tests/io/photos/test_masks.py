@@ -1,6 +1,5 @@
 """Masks beside photos and alpha: which pixels count, and messages about masks that do not fit."""
 
-import os
 import shutil
 
 import numpy as np
@@ -15,7 +14,6 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.sfm.photos import find_photos
 from clsplat.training.photos import decode
 from tests.data.tiny_model import HEIGHT, WIDTH, write_scene
-from tests.io.shared_cases import CASES, needs_cases
 
 
 @pytest.fixture
@@ -92,16 +90,6 @@ def put(path):
     Image.fromarray(np.repeat(DARK_LEFT[..., None], 3, 2)).save(path)
 
 
-@needs_cases
-@pytest.mark.parametrize("name", ["photos_odm_mask", "photos_realityscan_mask",
-                                  "photos_masks_folder_same_name"])
-def test_cases(name):
-    photos, refused = find_photos(CASES / name)
-    assert [photo.name for photo in photos] == [f"DJI_000{n}.JPG" for n in range(6)]
-    assert all(photo.mask is not None and photo.name[:8] in photo.mask.name for photo in photos)
-    assert refused == {}
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_scene_and_a_reconstruction_use_the_mask(folder, name):
     put(folder / name)
@@ -141,14 +129,6 @@ def test_masks_of_subfolders_are_those_of_their_photos(folder):
     found = {photo.name: photo.mask for photo in find_photos(folder)[0]}
     assert found["a/x.png"] == folder / "a/mask/x.png"
     assert found["b/x.png"] == folder / "masks/b/x.png" and found["x.png"] is None
-
-
-def test_folders_that_link_to_themselves(folder):
-    folder = folder / "images"
-    os.symlink(folder, folder / "masks")
-    photos, _ = find_photos(folder)
-    assert [photo.name for photo in photos] == [f"photo_{n}.png" for n in range(4)]
-    assert not any(photo.mask for photo in photos)
 
 
 def test_a_folder_beside_the_photos_without_any_of_their_masks(folder):

@@ -13,7 +13,6 @@ from clsplat.io.scenes.colmap import read_colmap
 from clsplat.io.scenes.colmap_files import CAMERA_MODELS
 from clsplat.io.scenes.read import fingerprint, read_scene
 from tests.data.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, write_scene
-from tests.io.shared_cases import CASES, needs_cases
 
 
 def refused(path, *words):
@@ -257,8 +256,3 @@ def test_text_of_other_programs_is_read_or_refused_with_the_cure(tmp_path, name)
     read = read_scene(folder)
     assert [view.name for view in read.views] == [view.name for view in whole.views]
     assert np.array_equal(read.points, whole.points)
-
-
-@needs_cases
-def test_case_images_of_one_line():
-    refused(CASES / "images_txt_one_line_each", "images.txt: line 2 is damaged", TWO_LINES)

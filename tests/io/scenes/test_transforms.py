@@ -21,7 +21,6 @@ from tests.data.layouts import (
     assert_same_cameras,
     camera_angle,
     every_fourth,
-    intrinsics,
     world_points,
     write_json,
     write_model,
@@ -60,16 +59,6 @@ def test_nerfstudio(tmp_path, city):
     assert scene.held_out is None and scene.observations is None
     assert scene.path == tmp_path and scene.name == tmp_path.name
     assert [v.source.name for v in scene.views] == [v.name for v in city.views]
-
-
-def test_intrinsics_of_each_frame(tmp_path, city):
-    table = write_transforms(tmp_path, city)
-    views = tuple(replace(view, camera=replace(view.camera, focal=(200.0 + i, 210.0),
-                                               centre=(150.0, 121.0 + i)))
-                  for i, view in enumerate(city.views))
-    frames = [{**frame, **intrinsics(view.camera)} for frame, view in zip(table["frames"], views)]
-    changed(tmp_path, table, frames=frames, fl_x=1.0)
-    assert_same_cameras(read_scene(tmp_path), replace(city, views=views), images)
 
 
 def test_angle_of_view_and_names_without_suffix(tmp_path, city):
