@@ -49,11 +49,7 @@ class Session:
 
     Attributes
     ----------
-    schedule : decides the steps; missing if the caller does.
-    parts : what the training has besides the gaussians, in the order in which a step calls them.
-    step : takes steps; has the model and the statistics.
-    level : down-sampling factor of the training images.
-    cameras : packed cameras of the training views at that level.
+    level, cameras : down-sampling factor of the training images, and their packed cameras.
     options : may be replaced between steps (`lay_over`).
     start_seconds : that finding the initial gaussians took.
     """
@@ -164,11 +160,11 @@ class Session:
         return tuple(found)
 
     def recentre(self) -> None:
-        """Let the parts recentre what they have learned; called once an epoch."""
-        if parts := overriding(self.parts, "recentre"):
-            self.step.settle()
-            for part in parts:
-                part.recentre()
+        """Let the parts recentre what they have learned; called once an epoch. Steps are settled
+        then in any case: a view that lacks room is noticed early, and fewer steps are repeated."""
+        self.step.settle()
+        for part in overriding(self.parts, "recentre"):
+            part.recentre()
 
     def before_step(self, plan: Plan) -> Iterator[tuple[str, dict[str, Any]]]:
         """Do what the parts do before a step with this plan; yields (event, values) of records."""
