@@ -185,6 +185,9 @@ REMOVED = {"tone": "off", "moments": "float", "split_size": 0.01, "free_space": 
 def recorded(record: dict[str, Any]) -> TrainOptions:
     """The options among the values of a run's options.json; InputError for a damaged one."""
     record = {**EARLIER, **record}
+    decided = record.get("decisions")
+    if record.get("sh_degree") == AUTO and isinstance(decided, dict):  # of earlier versions
+        record["sh_degree"] = decided.get("sh_degree")
     for name, value in REMOVED.items():
         if record.get(name, value) != value:
             raise InputError(f"options.json: {name} {record[name]} was removed; train "

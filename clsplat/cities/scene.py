@@ -68,7 +68,12 @@ class Stage(Part):
 
 
 class FrozenRows(Stage):
-    """Freezes the gaussians that a block does not train."""
+    """Freezes the gaussians that a block does not train.
+
+    Parameters
+    ----------
+    region : of the block.
+    """
 
     name = "frozen"
 
@@ -113,7 +118,10 @@ class FrozenRows(Stage):
 class SampleWeights(Part):
     """Visits each photo of a block as often as it shows what the block owns.
 
-    `weights` : how often, in any unit, by the name of a view; 1 for others."""
+    Parameters
+    ----------
+    weights : how often, in any unit, by the name of a view; 1 for others.
+    """
 
     name = "weights"
 

@@ -46,10 +46,12 @@ class Outcome:
 
     Attributes
     ----------
-    job, worker : the job, and the last one that ran it.
+    job : the job.
     value : what it returned; None if it was finished before, or failed.
     error : why it failed; None: it did not.
-    seconds, tries : the duration of all its tries, and how many there were.
+    seconds : the duration of all its tries.
+    tries : how often it was started.
+    worker : the last one.
     """
 
     job: Any
@@ -90,6 +92,10 @@ class Workers:
     scheduler : address of a Dask scheduler, whose workers are used instead.
     devices : values of CLSPLAT_DEVICE that the processes use in turn, from the last one, as this
         process works on the first one.
+
+    Raises
+    ------
+    InputError : for a number of processes that no machine can run.
     """
 
     def __init__(self, number: int = 1, scheduler: str = "", devices: Sequence[str] = ()) -> None:

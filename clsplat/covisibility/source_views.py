@@ -1,13 +1,11 @@
 """Which views see the same points, from which directions and distances.
 
 `choose_source_views` chooses for each reference view the source views that constrain its depth.
-`view_spread` measures how much the views of a point differ in direction and distance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,47 +48,6 @@ def choose_source_views(scene: Scene, views: Sequence[View], count: int = 3
     seen_by = csr_array(sees.T)
     positions = np.array([v.camera.position for v in views]).reshape(-1, 3)
     return [_best(number, sees, seen_by, points, positions, count) for number in range(len(views))]
-
-
-@dataclass(frozen=True, eq=False)
-class ViewSpread:
-    """How much the views of each point differ, for the K points that at least two views see.
-
-    Attributes
-    ----------
-    cap : [K], degrees; the largest angle between the direction to a camera and the mean of these
-        directions, that is the radius of the spherical cap of directions.
-    ratio : [K]; the largest size of a pixel at the point (depth / focal length) over the smallest.
-    """
-
-    cap: NDArray[np.float64]
-    ratio: NDArray[np.float64]
-
-
-def view_spread(scene: Scene, views: Sequence[View]) -> ViewSpread:
-    """The ViewSpread of the sparse points of a scene over `views`; see `visibility`."""
-    points, point, view = visibility(scene, views)
-    cameras = [v.camera for v in views]
-    positions, forward = (np.array(values).reshape(-1, 3) for values in (
-        [c.position for c in cameras], [c.rotation[2] for c in cameras]))
-    ray = positions[view] - points[point]
-    direction = ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-300)
-    middle = np.zeros((len(points), 3))
-    np.add.at(middle, point, direction)
-    middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-300)
-    # by the chord, since an arc cosine resolves small angles only to 1e-6 degrees
-    chord = np.linalg.norm(direction - middle[point], axis=1)
-    angle = np.rad2deg(2 * np.arcsin((chord / 2).clip(0, 1)))
-    depth = -(ray * forward[view]).sum(axis=1)
-    focal = np.array([np.mean(c.focal) for c in cameras])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        size = np.log(depth / focal[view])
-    cap, low, high = (np.full(len(points), start) for start in (0.0, np.inf, -np.inf))
-    np.maximum.at(cap, point, angle)
-    np.minimum.at(low, point, size)
-    np.maximum.at(high, point, size)
-    several = np.bincount(point, minlength=len(points)) >= 2
-    return ViewSpread(cap[several], np.exp((high - low)[several]))
 
 
 def visibility(scene: Scene, views: Sequence[View]

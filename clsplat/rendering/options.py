@@ -9,9 +9,8 @@ from clsplat.config.option import AUTO, option
 class RenderingOptions:
     """How gaussians become an image."""
 
-    sh_degree: int = option(3, "Rendering", "highest degree of the spherical harmonics; auto: the "
-                            "lowest that the viewing angles of this scene can tell apart",
-                            main=True, words={AUTO: AUTO}, minimum=0, maximum=3, measured=True)
+    sh_degree: int = option(3, "Rendering", "highest degree of the spherical harmonics",
+                            main=True, minimum=0, maximum=3, measured=True)
     sh_every: int = option(1000, "Rendering", "steps after which the next degree of the spherical "
                            "harmonics begins to train", minimum=1, flag=False, measured=True)
     antialiased: bool = option(False, "Rendering", "scale opacities by the area that the low-pass "

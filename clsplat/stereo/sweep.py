@@ -33,9 +33,7 @@ def sweep(images: Array, sizes: Array, cameras: Sequence[Camera], reference: int
     ----------
     images : real[V, H, W], grey photos, 0 to 1; nan where a pixel does not count.
     sizes : int[V, 2], (width, height) of each photo, at most W and H.
-    cameras : of the photos.
-    reference : the photo whose depth is found.
-    sources : the photos that it is compared with, at least two.
+    reference, sources : the photo whose depth is found, and at least two to compare it with.
     inverse_depths : 1 / world unit, of the first and the last plane.
     planes : how many, at least three.
 
@@ -56,19 +54,12 @@ def sweep(images: Array, sizes: Array, cameras: Sequence[Camera], reference: int
 
 def confirm(inverse_depths: Array, sizes: Array, cameras: Sequence[Camera], reference: int,
             sources: Sequence[int], same_depth: float) -> Array:
-    """How many photos have the depth of a pixel of another one, where it projects to.
+    """How many sources have the depth of a pixel of the reference where it projects to, uint[H, W].
 
     Parameters
     ----------
     inverse_depths : real[V, H, W], 1 / world unit, of each photo's pixels; 0 where there is none.
-    sizes, cameras : of the photos, as for `sweep`.
-    reference : the photo whose pixels are counted.
-    sources : the photos that may confirm them.
     same_depth : relative difference below which depths are the same.
-
-    Returns
-    -------
-    uint[H, W].
     """
     device, (_, height, width) = inverse_depths.device, inverse_depths.shape
     confirmed = device.empty((height, width), np.uint32)

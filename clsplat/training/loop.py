@@ -139,9 +139,6 @@ class Training:
 
     Attributes
     ----------
-    session : the state of the training; it takes the steps.
-    clock, recorder, evaluator, checkpoint : measure, report, evaluate and save it.
-    deadline : adapts the number of steps to a time budget; None without one.
     recorded : whether the run folder contains this run.
     is_stage : whether the run is a stage of a larger training, such as a block of a city.
     """

@@ -31,8 +31,6 @@ class Model:
 
     Attributes
     ----------
-    count : number of gaussians.
-    adam : the engine.
     layout : another object after each change of the arrays or of the number of gaussians.
     frozen : uint[count], not 0 for gaussians that are not trained; None: all are trained.
     """

@@ -133,12 +133,7 @@ def photo_array(view: View) -> ArraySpec:
 
 
 class Thumbnails:
-    """Photos of at most SMALL_SIDE pixels, each decoded once for all that is decided from them.
-
-    Parameters
-    ----------
-    views : the training views.
-    """
+    """Photos of at most SMALL_SIDE pixels, each decoded once for all that is decided from them."""
 
     def __init__(self, views: Sequence[View]) -> None:
         self.views = tuple(views)
@@ -173,7 +168,6 @@ class PhotoStore:
     ----------
     sizes : bytes of each photo, or more.
     decode : called with a photo's index; returns it, uint8[channels, H, W].
-    threads : that decode.
     folder : of the file; None: the system's folder for temporary files.
 
     Attributes

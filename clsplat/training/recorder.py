@@ -83,7 +83,6 @@ class Recorder:
 
     Attributes
     ----------
-    progress : the progress line.
     stop : whether a callback has raised an exception, after which the step is finished and saved.
     failure : the first exception of a callback that is not StopTraining, to be raised then.
     """

@@ -57,16 +57,9 @@ class Step:
 
     Parameters
     ----------
-    renderer : renders the views.
-    model : the gaussians.
     extent : world units; size of the scene.
     options : with scaled steps.
-    parts : what the training has besides, with a term of the loss at least.
-
-    Attributes
-    ----------
-    skipped : counts gradients that were not finite.
-    units : the steps that are not known to be done.
+    parts : what the training has besides the gaussians, with a term of the loss at least.
     """
 
     def __init__(self, renderer: Renderer, model: Model, extent: float, options: ScheduledOptions,
@@ -281,18 +274,9 @@ class Step:
 
     def densify(self, iteration: int, plan: Plan, schedule: Schedule,
                 scoring_views: ScoringViews) -> dict[str, int] | None:
-        """Do the round of growth and the opacity reset that follow a step.
-
-        Parameters
-        ----------
-        iteration, plan : of that step.
-        schedule : decides what becomes of the gaussians.
-        scoring_views : returns some training views, for a schedule that scores gaussians.
-
-        Returns
-        -------
-        How many gaussians were cloned, split and pruned; None without growth.
-        """
+        """Do the round of growth and the opacity reset that follow a step; `scoring_views` returns
+        some training views, for a schedule that scores gaussians. Returns how many gaussians were
+        cloned, split and pruned; None without growth."""
         event = self._grow(iteration, plan, schedule, scoring_views) if plan.grows else None
         if plan.resets_opacity:
             self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)),
@@ -345,16 +329,8 @@ class Step:
 
 class SkippedGradients:
     """Counts the gradients of a run that are not finite, whose rows the device skips: rows of
-    gaussians (cl/project.cl) and of views (cl/exposure.cl).
-
-    Parameters
-    ----------
-    counters : uint[1] on the device; rows skipped by one kernel, modulo 2^32.
-
-    Attributes
-    ----------
-    total : rows skipped in the whole run, at the last `poll`.
-    """
+    gaussians (cl/project.cl) and of views (cl/exposure.cl). `counters` are uint[1] on the device,
+    modulo 2^32; `total` and `requested` are those of the whole run, at the last `poll`."""
 
     def __init__(self, *counters: Array) -> None:
         self._counters = counters

@@ -67,19 +67,6 @@ def test_photos_that_do_not_fit_the_device_together(item_device, scene, photos, 
     assert done == [1, 2, 3, 4, 5, 6]
 
 
-def test_a_plane_that_faces_an_axis_keeps_its_points(item_device, scene, photos):
-    """Sparse points without any extent along one axis say little of what lies beside them."""
-    turn = np.arctan(SLANT)
-    rotation = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0],
-                         [-np.sin(turn), 0, np.cos(turn)]])
-    turned = [replace(view, camera=replace(view.camera, rotation=view.camera.rotation @ rotation.T))
-              for view in scene.views]
-    flat = replace(scene, views=tuple(turned), points=scene.points @ rotation.T)
-    assert np.ptp(flat.points[:, 2]) < 1e-9
-    positions, _ = dense_points(item_device, flat, flat.views, photos, MANY)
-    assert len(positions) > 3 * len(scene.points)
-
-
 def test_masked_pixels_give_no_points(item_device, scene, photos):
     masks = [np.full((1, 48, 64), 255, np.uint8) for _ in photos]
     for mask, view in zip(masks, scene.views):  # all that lies at x > 0

@@ -12,7 +12,6 @@ import pytest
 from click.testing import CliRunner
 
 from clsplat.cli.main import main
-from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.io.runs.learned import read_poses
 from clsplat.io.runs.run import RunFolder
@@ -53,15 +52,6 @@ def test_twice_the_same_bytes(float_device, city, tmp_path):
     assert model_digest(runs[0]) == model_digest(runs[1])
     assert history(runs[0]) == history(runs[1])
     assert sum(record["split"] + record["cloned"] for record in records(runs[0], "grow")) > 1000
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("size", [32, 256])
-def test_group_sizes_do_not_matter(item_device, city, tmp_path, whole, size):
-    device = Device(item_device.handle, form="item")
-    assert device.group_size != size
-    device.group_size = size
-    assert model_digest(trained(tmp_path / "run", city, device)) == model_digest(whole)
 
 
 @pytest.mark.slow

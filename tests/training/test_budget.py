@@ -144,11 +144,6 @@ def test_whatever_a_step_takes(seconds, unit):
     assert 0.97 * seconds < Simulated(seconds, clock).run() < 1.03 * seconds
 
 
-def test_checkpoints_on_the_way_are_paid_for():
-    clock = Clock(by_level, disk=100e6)
-    assert 0.97 * 240 < Simulated(240, clock).run(checkpoint_every=500) < 1.03 * 240
-
-
 def test_the_schedule_is_laid_over_the_whole_run():
     training = Simulated(240, Clock(by_pixels), schedule="constant", densify_every=50)
     training.run()
@@ -157,13 +152,6 @@ def test_the_schedule_is_laid_over_the_whole_run():
     assert session.schedule.options is session.step.options is session.options
     assert session.options.densify_until == pytest.approx(session.iteration / 2, rel=0.02)
     assert session.schedule.plan(session.iteration).decay == pytest.approx(1, abs=0.01)
-
-
-def test_the_finest_level_gets_its_share_of_the_steps():
-    training = Simulated(240, Clock(by_pixels))
-    training.run()
-    share = training.steps_at[1.0] / training.session.iteration
-    assert share > 0.9 * (1 - sum(training.session.schedule.shares))
 
 
 def test_a_resumed_run_keeps_to_the_budget():

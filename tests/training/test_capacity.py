@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from clsplat.rendering.pipeline import Room
 from clsplat.training.capacity import MARGIN, FrameCapacity
@@ -43,26 +42,6 @@ def test_a_smaller_size_needs_no_measurement_and_a_larger_one_does():
     small.reset(100, 1001)
     assert not small.is_known(*SIZE, False), "a frame that may need bands is measured"
     assert enlarge(small, 10, [1, 1]).bands == (range(0, 2),)
-
-
-def test_sizes_have_the_same_room_so_that_their_frames_use_the_same_memory():
-    rooms = rooms_of()
-    enlarge(rooms, 100, [500, 300, 200])
-    larger = enlarge(rooms, 200, [50], (80, 60))
-    assert larger == Room(int(MARGIN * 200), int(MARGIN * 1000) + 3)
-    assert room_of(rooms) == room_of(rooms, (1, 1)) == larger
-
-
-def test_what_is_expected_counts_as_seen():
-    rooms = rooms_of()
-    enlarge(rooms, 700, [900])
-    rooms.reset(200.4, 1000.4)
-    assert room_of(rooms) == Room(
-        pytest.approx(MARGIN * 201, abs=1), pytest.approx(MARGIN * 1001 + 1, abs=1))
-    assert enlarge(rooms, 100, [80]).pairs == pytest.approx(MARGIN * 1001 + 1, abs=1)
-    rooms.reset()
-    assert not rooms.is_known(*SIZE, False)
-    assert enlarge(rooms, 100, [80]) == Room(140, 113)
 
 
 def test_no_more_room_than_gaussians_and_than_the_limit():

@@ -22,13 +22,9 @@ from clsplat.training.parts.exposures import SAMPLED_PHOTOS
 from clsplat.training.photos import SMALL_SIDE
 from clsplat.training.start import prepare as module
 from clsplat.training.start.prepare import (
-    SHINE,
-    VISIBLE,
     find_decisions,
-    needed_degree,
     smallest_size,
 )
-from tests.covisibility.test_source_views import circle
 from tests.data.tiny_training import CITY
 
 
@@ -182,73 +178,6 @@ def test_the_shortest_side_counts(city):
     cameras = [city.views[0].camera.resized(*size) for size in ((90, 70), (300, 60), (61, 500))]
     views = [replace(city.views[0], camera=camera) for camera in cameras]
     assert smallest_size(views) == (300, 60)
-
-
-@pytest.mark.parametrize("degrees, degree", [
-    ((0, 1), 0), ((0, 2), 1), ((0, 8), 1), ((0, 5, 10), 1), ((0, 12), 2), ((0, 25), 3),
-    ((0, 90, 180), 3)])
-@pytest.mark.parametrize("tracks", [True, False])
-def test_views_that_agree_need_fewer_harmonics(drift, degrees, degree, tracks):
-    drift(0.0)
-    scene = circle(*degrees)
-    scene = scene if tracks else replace(scene, observations=None)
-    result = found(scene, sh_degree="auto")
-    assert result.options.sh_degree == result.values["sh_degree"] == degree
-    middle = f"{(max(degrees) - min(degrees)) / 2:.1f} degrees"
-    assert result.reasons["sh_degree"].startswith(f"{degree}: 99% of the points are seen from "
-                                                  "within ")
-    assert middle in result.reasons["sh_degree"] or max(degrees) == 180
-
-
-def test_points_that_no_two_views_see_leave_the_highest_degree(drift):
-    drift(0.0)
-    scene = circle(0, 1)
-    alone = replace(scene, observations=scene.observations[:1])
-    result = found(alone, sh_degree="auto")
-    assert result.options.sh_degree == 3 and "angles are unknown" in result.reasons["sh_degree"]
-
-
-@pytest.mark.parametrize("degree", [0, 1, 2])
-def test_a_degree_that_is_asked_for_is_used(city, drift, degree):
-    drift(0.0)
-    result = found(city, sh_degree=degree)
-    assert result.options.sh_degree == degree and result.parts["sh_degree"].requested
-    assert result.reasons["sh_degree"] == f"{degree}: requested"
-    assert not found(city, sh_degree="auto").parts["sh_degree"].requested
-
-
-@pytest.mark.one_in(2)
-@pytest.mark.parametrize("degree", [0, 1, 2])
-def test_a_lower_degree_is_right_to_a_step_of_8_bits(degree):
-    """Harmonics to degree 3 are the polynomials to degree 3 on the sphere, so cubics are fitted by
-    polynomials of `degree` on the widest cap that is said to need no more."""
-    cap = max(c for c in np.arange(0.05, 15, 0.05) if needed_degree(c) == degree)
-    rng = np.random.default_rng(degree)
-    sphere = rng.normal(size=(4000, 3))
-    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
-    worst = {}
-    for times in (1, 6):
-        tilt = np.deg2rad(times * cap) * np.sqrt(rng.random(400))
-        turn = rng.uniform(0, 2 * np.pi, 400)
-        near = np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn),
-                         np.cos(tilt)], 1)
-        errors = []
-        for _ in range(100):
-            turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-            cubic = rng.normal(size=20)
-            colour = powers(near @ turned, 3) @ cubic
-            colour *= SHINE / np.abs(powers(sphere, 3) @ cubic).max()
-            basis = powers(near, degree)
-            errors.append(np.abs(basis @ np.linalg.lstsq(basis, colour)[0] - colour).max())
-        worst[times] = max(errors)
-    assert worst[1] <= VISIBLE < worst[6]
-
-
-def powers(directions, degree):
-    """Columns x^i y^j z^k, i + j + k <= degree."""
-    x, y, z = directions.T
-    return np.stack([x**i * y**j * z**k for i in range(degree + 1) for j in range(degree + 1 - i)
-                     for k in range(degree + 1 - i - j)], axis=1)
 
 
 def test_levels_are_named(city, drift):

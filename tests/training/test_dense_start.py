@@ -17,7 +17,6 @@ from clsplat.training.start.initialise import (
     LEAST_STEPS,
     chosen_start,
     first_gaussians,
-    planned_count,
     start_seconds,
 )
 from clsplat.training.start.prepare import prepare
@@ -63,13 +62,6 @@ def test_photos_that_do_not_overlap(city):
     nothing = replace(city, observations=city.observations[:0])
     with pytest.raises(InputError, match="city: --init dense needs three photos .* --init sfm"):
         chosen(nothing, init="dense")
-
-
-def test_the_number_of_points():
-    assert planned_count(1000, 10**6, resolve({}, {})) == 800
-    assert planned_count(None, 40_000, resolve({}, {})) == 800
-    assert planned_count(1000, 10**6, resolve({}, {"max_gaussians": 500})) == 400
-    assert planned_count(0, 0, resolve({}, {})) == 1
 
 
 @pytest.mark.one_in(2)

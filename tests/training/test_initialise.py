@@ -100,16 +100,6 @@ def test_what_cannot_begin(scene, tmp_path):
     assert initial_gaussians(scene, TrainOptions(max_gaussians=COUNT)).count == COUNT
 
 
-def test_spheres_are_there_where_the_options_want_them(scene):
-    """Around where each begins; a wider neighbourhood, a larger sphere."""
-    few, many = (initial_gaussians(scene, TrainOptions(sphere=True, sphere_neighbours=count))
-                 for count in (3, 15))
-    assert np.array_equal(few.anchors, few.positions)
-    assert (few.max_offsets < many.max_offsets).all()
-    for options in ({}, {"sphere": True, "schedule": "dash"}):
-        assert "anchors" not in initial_gaussians(scene, TrainOptions(**options)).rows
-
-
 @pytest.mark.parametrize("count", [0, 1])
 def test_a_file_of_too_few_gaussians_is_blamed(scene, tmp_path, count):
     rows = {field.name: values[:count] for field, values in zip(LEARNED, made(0).rows.values())}

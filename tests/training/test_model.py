@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from clsplat.device import Device
 from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
 from clsplat.loss.exposure import Exposures
 from clsplat.options import TrainOptions
@@ -11,7 +10,7 @@ from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Plan, SceneFacts
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.growth import Growth
-from clsplat.training.model import Model, model_bytes
+from clsplat.training.model import Model
 from clsplat.training.part import TrainingSample
 from clsplat.training.parts import image_term
 from clsplat.training.parts.exposures import PhotoResponses
@@ -76,27 +75,6 @@ def test_rows_and_moments_follow_growth(float_device, engine, fields, source, ke
         for name in before:
             assert np.array_equal(values[name][:kept], before[name][source[:kept]]), name
             assert not values[name][kept:].any(), name
-
-
-def test_growth_takes_more_memory_than_there_is_before_and_after(float_device):
-    """Old rows of a field beside new ones: `peak_bytes` tells, `memory_bytes` does not, which is
-    that of the rows there are."""
-    device = Device(float_device.handle, form=float_device.form)
-    model, *_ = with_moments(device, "device", 1000)
-    before = device.memory_bytes
-    assert before == model_bytes(device, model.sh_degree, 1000)
-    assert device.peak_bytes == before + 4 * 1000  # last_step, which was replaced
-    model.regrow(growth_of(np.resize(np.arange(1000), 2000), 1000, 0))
-    after = device.memory_bytes
-    assert after == model_bytes(device, model.sh_degree, 2000)
-    assert after < device.peak_bytes < before + after
-    device.empty(after, np.uint8)  # the pool keeps it; noted when memory is asked for
-    pooled = device.memory_bytes - after
-    assert pooled >= after and device.peak_bytes == after + pooled
-    model.regrow(growth_of(range(10), 10, 0))
-    assert device.memory_bytes == model_bytes(device, model.sh_degree, 10)
-    del model
-    assert device.memory_bytes == 0 and device.peak_bytes == after + pooled
 
 
 @ENGINES
@@ -307,24 +285,3 @@ def test_the_limit_takes_the_highest_gradients(float_device, limit, cloned, spli
     event, model, _ = follow(float_device, GRADIENTS, SCALES, max_gaussians=limit)
     assert event == {"cloned": cloned, "split": split, "pruned": 0}
     assert model.count == 7 + cloned + split
-
-
-@pytest.mark.parametrize("limit", [4, 5, 6, 7, 9, 11, 12])
-def test_the_limit_holds_where_too_large_ones_are_split(float_device, limit):
-    """Without a split they would go, so that each child counts."""
-    gradients, scales = [9, 8, 3, 4, 5, 0.5], [HUGE, HUGE, SMALL, LARGE, SMALL, SMALL]
-    event, model, _ = follow(float_device, gradients, scales, max_gaussians=limit)
-    assert model.count <= limit
-    if limit >= 11:
-        assert event == {"cloned": 2, "split": 3, "pruned": 0}
-
-
-def test_spheres_are_kept_through_growth(float_device):
-    gradients, scales = [0.5, 2, 2], [SMALL, SMALL, LARGE]
-    event, model, given = follow(float_device, gradients, scales, fields=FIELDS)
-    after = model.download()
-    assert event == {"cloned": 1, "split": 1, "pruned": 0}
-    assert np.array_equal(after.anchors, given.positions[[0, 1, 1, 2, 2]])
-    assert np.allclose(after.max_offsets, [1, 2, 2, 0.7 * 3, 0.7 * 3], rtol=1e-6)
-    assert np.array_equal(after.positions[:3], given.positions[[0, 1, 1]])
-    assert (after.positions[3:] != given.positions[2]).all()

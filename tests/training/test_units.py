@@ -133,20 +133,6 @@ def test_units_are_done_once_and_in_order(item_device, pending):
     assert np.array_equal(counted.units.confirm(), counts)
 
 
-def test_the_number_of_units_may_pass_32_bits(item_device):
-    counted = Counted(item_device)
-    counts = counted.units.counts.download()
-    counts[COUNT_DONE] = 2**32 - 2
-    counted.units.counts.write(counts)
-    counted.units.confirm()
-    counted.units._done = 2**32 - 2
-    with np.errstate(over="ignore"):
-        for number in range(5):
-            counted.units.submit(counted.unit(number, 1 + number % 2))
-        assert counted.units.confirm()[COUNT_DONE] == 3
-    assert counted.log == list(range(5))
-
-
 def test_steps_that_are_pending_keep_few_photos(item_device, city, tmp_path, monkeypatch):
     """Where photos do not stay on the device, as there is no memory for them."""
     read, made, alive = photos.Photos.__getitem__, [], []

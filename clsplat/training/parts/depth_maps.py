@@ -32,7 +32,6 @@ class DepthMaps(Part):
     """The difference between the rendered depth and the depth map of a view that has one.
 
     Maps of a level stay on the device if all fit; else each is read at each use.
-
     """
 
     name = "depth"

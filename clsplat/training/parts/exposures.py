@@ -31,10 +31,6 @@ class PhotoResponses(Part):
     known : the responses of views by name, at which learning begins; a view that has none begins
         with the identity. None: all do.
     learns : whether they are learned, or stay as they are.
-
-    Attributes
-    ----------
-    exposures : the responses, and their Adam.
     """
 
     name = "exposure"

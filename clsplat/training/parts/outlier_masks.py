@@ -212,8 +212,8 @@ class OutlierMasks(Part):
         as before, little can be told. The record has their share of all pixels, and the largest
         share in a photo.
         """
-        options, epoch = session.decisions.options, -(-len(session.train_views)
-                                                      // session.decisions.options.batch)
+        options = session.decisions.options
+        epoch = -(-len(session.train_views) // options.batch)
         calm = session.iteration - self._calm_since
         every = max(options.iterations // SEARCHES, MIN_EPOCHS * epoch)
         if calm < every and not (plan.level != session.level and 3 * calm >= every):

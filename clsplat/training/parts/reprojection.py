@@ -7,11 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsplat.camera import Camera
 from clsplat.covisibility.source_views import choose_source_views
-from clsplat.device import Device
 from clsplat.errors import InputError
-from clsplat.loss.exposure import Exposures
 from clsplat.loss.options import ReprojectOptions
 from clsplat.loss.reproject import pack_pairs, reproject
 from clsplat.training.part import (
@@ -28,54 +25,8 @@ from clsplat.training.parts.exposures import PhotoResponses
 
 if TYPE_CHECKING:
     from clsplat.schedule import Plan
-    from clsplat.training.photos import Photos
     from clsplat.training.session import Session
     from clsplat.training.start.prepare import PreparedScene
-
-
-class SourceViews:
-    """Pairs of a reference and a source view, with the transforms between them on the device.
-
-    Parameters
-    ----------
-    neighbours : indices of the source views of each view (covisibility/source_views.py).
-    exposures : colour transforms of the views, or None.
-    seed : of the random choice of source views.
-
-    Attributes
-    ----------
-    pairs : [(reference view, source view), ...].
-    geometries : real[P, 12]; between pixels, at the present level (`loss.reproject.pack_pairs`).
-    colours : real[P, 12]; from colours of the source photo to those of the reference photo.
-    """
-
-    def __init__(self, device: Device, neighbours: Sequence[Sequence[int]],
-                 exposures: Exposures | None, seed: int) -> None:
-        self.device, self.exposures, self.seed = device, exposures, seed
-        self.neighbours = neighbours
-        self.pairs = [(view, int(other)) for view, adjacent in enumerate(neighbours)
-                      for other in adjacent]
-        self._first = np.cumsum([0, *map(len, neighbours)])  # row of a view's first pair
-        self.compare_colours()
-
-    def use(self, cameras: Sequence[Camera]) -> None:
-        """Use the views' cameras at a level from now on."""
-        self.geometries = pack_pairs(self.device, [(cameras[i], cameras[j]) for i, j in self.pairs])
-
-    def compare_colours(self) -> None:
-        """Update `colours`; called only after exposures are recentred, because it waits."""
-        unchanged = np.tile(np.eye(3, 4).ravel(), (len(self.pairs), 1))
-        self.colours = (self.exposures.between(self.pairs) if self.exposures
-                        else self.device.upload(unchanged))
-
-    def drawn(self, number: int, view: int) -> tuple[int, int] | None:
-        """(row of the pair, index of a source view) of a view, or None if it has none. The view is
-        random, and depends on the seed and the number of views trained on alone."""
-        count = len(self.neighbours[view])
-        if not count:
-            return None
-        row = int(self._first[view] + np.random.default_rng([self.seed, 2, number]).integers(count))
-        return row, self.pairs[row][1]
 
 
 class Reprojection(Part):
@@ -84,7 +35,6 @@ class Reprojection(Part):
     name = "reprojection"
     Options = ReprojectOptions
     needs_depth = True
-    sources: SourceViews
 
     @classmethod
     def decide(cls, survey: Survey) -> dict[str, Decision]:
@@ -109,28 +59,51 @@ class Reprojection(Part):
 
     def begin(self, session: Session) -> None:
         responses = session.part(PhotoResponses)
-        self._photos: Photos = session.photos
-        self.sources = SourceViews(
-            session.device, session.decisions.parts["reproject"].found,
-            responses.exposures if responses else None, session.options.seed)
+        self._device, self._photos, self._seed = (session.device, session.photos,
+                                                  session.options.seed)
+        self._exposures = responses.exposures if responses else None
+        self._neighbours: list[list[int]] = session.decisions.parts["reproject"].found
+        self._pairs = [(view, other) for view, adjacent in enumerate(self._neighbours)
+                       for other in adjacent]
+        self._first = np.cumsum([0, *map(len, self._neighbours)])  # row of a view's first pair
+        self._compare_colours()
 
     def begin_level(self, session: Session) -> None:
-        self.sources.use([view.camera for view in session.photos.views])
+        cameras = [view.camera for view in session.photos.views]
+        self._geometries = pack_pairs(  # real[P, 12], between pixels
+            self._device, [(cameras[i], cameras[j]) for i, j in self._pairs])
 
     def recentre(self) -> None:
         """Follow the exposures, which were recentred before."""
-        if self.sources.exposures:
-            self.sources.compare_colours()
+        if self._exposures:
+            self._compare_colours()
+
+    def _compare_colours(self) -> None:
+        """Set the transforms from colours of the source photo to those of the reference photo,
+        real[P, 12]; waits."""
+        unchanged = np.tile(np.eye(3, 4).ravel(), (len(self._pairs), 1))
+        self._colours = (self._exposures.between(self._pairs) if self._exposures
+                         else self._device.upload(unchanged))
+
+    def _drawn(self, number: int, view: int) -> tuple[int, int] | None:
+        """(row of the pair, index of a source view) of a view, or None if it has none. The view is
+        random, and depends on the seed and the number of views trained on alone."""
+        count = len(self._neighbours[view])
+        if not count:
+            return None
+        rng = np.random.default_rng([self._seed, 2, number])
+        row = int(self._first[view] + rng.integers(count))
+        return row, self._pairs[row][1]
 
     def inputs(self, now: Now, sample: TrainingSample) -> Inputs | None:
         """A source view, the transforms to it and the weight; None without a weight or a view."""
-        pair = self.sources.drawn(sample.number, sample.view) if now.plan.regularises else None
-        return pair and {"photo": self._photos[pair[1]], "geometries": self.sources.geometries,
-                         "colours": self.sources.colours, "pair": pair[0],
+        pair = self._drawn(sample.number, sample.view) if now.plan.regularises else None
+        return pair and {"photo": self._photos[pair[1]], "geometries": self._geometries,
+                         "colours": self._colours, "pair": pair[0],
                          "weight": float(now.plan.regularises)}
 
     def read_ahead(self, plan: Plan, view: int, number: int) -> Sequence[int]:
-        pair = self.sources.drawn(number, view) if plan.regularises else None
+        pair = self._drawn(number, view) if plan.regularises else None
         return pair[1:] if pair else ()
 
     def add_to(self, work: ViewPass, inputs: Inputs) -> None:

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from clsplat.config.option import AUTO, MOST_STEPS, is_auto
+from clsplat.config.option import AUTO, MOST_STEPS
 from clsplat.covisibility.photometry import colour_disagreement
-from clsplat.covisibility.source_views import ViewSpread, photos_of_a_point, view_spread
+from clsplat.covisibility.source_views import photos_of_a_point
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians, mean_inverse_distance
 from clsplat.io.photos.depth import with_depths
 from clsplat.options import RunOptions, ScheduledOptions, TrainOptions
-from clsplat.rendering.options import RenderingOptions
 from clsplat.scene import Scene, View
 from clsplat.schedule import (
     SceneFacts,
@@ -37,10 +33,6 @@ from clsplat.training.photos import Thumbnails, decoded
 from clsplat.training.start.initialise import chosen_start, planned_count, planned_initial
 
 RUNS, RUN = 4, 12  # of photos that follow each other, and so show the same places
-HIGHEST_DEGREE = 3
-SHINE = 0.1  # amplitude of view-dependent colour, as a share of full brightness
-VISIBLE = 1 / 255  # of full brightness: a step of 8 bits
-SERVED_SHARE = 0.99  # of the points for which a degree must suffice
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,12 +145,11 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
 
     Parameters
     ----------
-    scene : the scene at the size of training.
-    views : its training views.
-    options : the options as the user gave them.
+    scene, views : at the size of training; the training views.
+    options : as the user gave them.
     device : where it trains; None leaves the choice of the Adam engine to `model.Model`, by the
         number of initial gaussians.
-    thumbnails : small photos of the views.
+    thumbnails : of the views.
     given : parts besides those that the options ask for.
     """
     thumbnails = thumbnails or Thumbnails(views)
@@ -170,7 +161,6 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     survey = Survey(scene, views, options, thumbnails)
     of_parts = {name: decision for part in (*PARTS, *map(registered_part, options.add_parts))
                 for name, decision in part.decide(survey).items()}
-    spread = view_spread(scene, scene.views)  # held-out views must be served, too
     limit = Decision(*schedule.planned_limit(options, facts))
     compared = functools.cache(lambda: stereo_views(scene, views))
     start = Decision(*chosen_start(scene, views, options, compared))
@@ -178,35 +168,13 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
         facts = replace(facts, count=planned_count(limit.value, facts.pixels, options))
     parts = {"steps": length, "init": start,
              "levels": Decision(*schedule.planned_levels(options, facts)), "gaussians": limit,
-             "sh_degree": _degree(spread, options), "antialiased": _antialiased(spread, options),
-             **of_parts}
-    decided = ("init", "sh_degree", *of_parts)
-    options = replace(options, **{name: parts[name].value for name in decided})
+             "sh_degree": requested(options.sh_degree), **of_parts}
+    options = replace(options, **{name: parts[name].value for name in ("init", *of_parts)})
     if device is not None:
         parts["engine"] = _engine(planned_initial(facts, options), options, device)
         options = replace(options, engine=parts["engine"].value)
     return Decisions(options, facts, most, parts,
                      compared() if start.value == "dense" else None)
-
-
-def needed_degree(cap: float) -> int:
-    """The lowest degree of spherical harmonics that is exact to a step of 8 bits within a cone.
-
-    The k-th derivative of a colour in spherical harmonics up to degree L is at most L^k times its
-    amplitude (Bernstein's inequality), so the remainder of its Taylor polynomial of degree n at the
-    cone's radius r is at most amplitude (L r)^(n + 1) / (n + 1)!, and harmonics of degree n contain
-    that polynomial. With L = 3 and a tenth of full brightness as amplitude, the limits of degrees
-    0, 1 and 2 are 0.7, 5.3 and 11.8 degrees.
-
-    Parameters
-    ----------
-    cap : half angle of the cone of viewing directions, degrees.
-    """
-    reach = HIGHEST_DEGREE * math.radians(cap)
-    for degree in range(HIGHEST_DEGREE):
-        if SHINE * reach ** (degree + 1) / math.factorial(degree + 1) <= VISIBLE:
-            return degree
-    return HIGHEST_DEGREE
 
 
 def is_stage(options: RunOptions, parts: Iterable[Part]) -> bool:
@@ -223,31 +191,6 @@ def _steps(photos: int, options: ScheduledOptions, facts: SceneFacts, stage: boo
     steps, most, reason = worthwhile_steps(options, facts, photos)
     scaled = max(1, round(most * options.steps_scale)) if most else MOST_STEPS
     return Decision(steps, reason), min(MOST_STEPS, scaled)
-
-
-def _degree(spread: ViewSpread, options: RenderingOptions) -> Decision:
-    """The degree of the spherical harmonics."""
-    if options.sh_degree == HIGHEST_DEGREE:
-        return Decision(HIGHEST_DEGREE, f"{HIGHEST_DEGREE}: all, the default")
-    if not is_auto(options.sh_degree):
-        return requested(options.sh_degree)
-    if not len(spread.cap):
-        return Decision(HIGHEST_DEGREE, f"{HIGHEST_DEGREE}: no point is seen by two views, so "
-                        "the viewing angles are unknown")
-    cap = float(np.quantile(spread.cap, SERVED_SHARE))
-    degree = needed_degree(cap)
-    return Decision(degree, f"{degree}: {SERVED_SHARE:.0%} of the points are seen from within "
-                    f"{cap:.1f} degrees of their mean direction")
-
-
-def _antialiased(spread: ViewSpread, options: RenderingOptions) -> Decision:
-    """On only if requested; the reason gives the range of scales, on which its benefit depends."""
-    value = "on" if options.antialiased else "off"
-    ratios = spread.ratio[np.isfinite(spread.ratio)]
-    seen = (f"; nine points in ten are seen at scales within a factor of "
-            f"{np.quantile(ratios, 0.9):.1f}" if len(ratios) else "")
-    return Decision(value, f"{value}: {'' if options.antialiased else 'not '}requested{seen}",
-                    requested=options.antialiased)
 
 
 def _engine(facts: SceneFacts, options: ScheduledOptions, device: Device) -> Decision:
