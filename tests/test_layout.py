@@ -29,7 +29,7 @@ LAYERS = (
     {"covisibility"},
     {"partition"},
     {"io"},
-    {"edit", "rendering", "schedule", "sfm", "stereo", "synth"},
+    {"edit", "rendering", "schedule", "sfm", "stereo"},
     {"loss", "optimise"},
     {"densify"},
     {"options"},
@@ -49,7 +49,7 @@ LAYER_OF = {unit: number for number, units in enumerate(LAYERS) for unit in unit
 
 # tested without OpenCL, though they stand above the device layer
 NO_DEVICE = {"camera", "config", "options", "gaussians", "georeference", "placement", "response",
-             "scene", "covisibility", "schedule", "partition", "synth", "report"}
+             "scene", "covisibility", "schedule", "partition", "report"}
 
 # rooms that use what the public API is made of, and these; `training` for the page that shows one
 USED_BY_APPS = {"camera", "constants", "device", "edit", "errors", "evaluation", "gaussians",

@@ -13,6 +13,7 @@ import pytest
 
 from clsplat.device import runtimes
 from tests.test_layout import ROOT, sources
+from tools.synth.__main__ import synthesise
 
 # not in Windows' standard library; macOS has all but the last two
 MODULES = ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "syslog", "posix", "curses",
@@ -99,8 +100,8 @@ def test_commands_begin(elsewhere, words):
 @pytest.mark.slow
 def test_a_training_from_scene_to_picture(elsewhere, tmp_path):
     """With its children: the COLMAP reader's process, and a city's two workers."""
-    for words in (("synth", "-o", "town", "--blocks", "1x1", "--views", "12", "--size", "96x64"),
-                  ("train", "town", "-n", "12", "-q", "-o", "run"), ("eval", "run"),
+    synthesise(tmp_path / "town", (1, 1), 12, (96, 64))
+    for words in (("train", "town", "-n", "12", "-q", "-o", "run"), ("eval", "run"),
                   ("export", "run", "-o", "model.ply"),
                   ("city", "town", "-n", "12", "--grid", "2x1", "--workers", "2", "-o", "cut")):
         done = elsewhere("-m", "clsplat", *words)

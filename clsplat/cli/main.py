@@ -31,7 +31,6 @@ from clsplat.cli.plan import plan
 from clsplat.cli.render import render
 from clsplat.cli.sections import SectionedGroup
 from clsplat.cli.sfm import sfm
-from clsplat.cli.synth import synth
 from clsplat.cli.train import train
 from clsplat.cli.view import view
 from clsplat.errors import ClsplatError, Interrupted
@@ -144,7 +143,7 @@ def main(ctx: click.Context) -> None:
 main.add_section("Train", plan, train, evaluate, compare)
 main.add_section("Results", render, view, export, edit, map_command, film)
 main.add_section("Large scenes", city, partition_command, block, merge)
-main.add_section("Data", sfm, georeference, synth, pack)
+main.add_section("Data", sfm, georeference, pack)
 main.add_section("Machine", devices, bench, completion)
 
 # `Reporting` finds the flag in the arguments; as an option it is in the help and allowed anywhere

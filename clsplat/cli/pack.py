@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import click
@@ -23,16 +22,13 @@ def pack(scene: Path, output: Path, downscale: float, images: str) -> None:
     """Copy SCENE of any format into a folder that has all it needs.
 
     It is a COLMAP model with its photos, masks and depth maps, which can be carried to another
-    machine. The geometry of a synthetic city is copied with it, for `clsplat eval`.
+    machine.
     """
     from clsplat.io.folders import new_folder
     from clsplat.io.scenes.read import read_scene
     from clsplat.io.scenes.write import write_scene
-    from clsplat.synth.write import GEOMETRY
     data = read_scene(scene, images)
     with new_folder(output) as folder:
         write_scene(folder, data, downscale, linked=False)
-        if (scene / GEOMETRY).is_file():
-            shutil.copyfile(scene / GEOMETRY, folder / GEOMETRY)
     size = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
     click.echo(f"{output}: {len(data.views)} photos, {size / 1e6:,.1f} MB")

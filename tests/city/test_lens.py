@@ -10,10 +10,10 @@ from clsplat.io.photos.views import read_valid
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
-from clsplat.synth.layout import city as lay_out
-from clsplat.synth.raycast import cast
 from tests.city.test_city import FLAGS
 from tests.data.lens_city import MASKED_EVERY, write_lens_city
+from tools.synth.city import lay_out
+from tools.synth.raycast import cast
 
 SURVEYED = "010.jpg"  # a photo that the second block alone has
 

@@ -4,7 +4,6 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.io.scenes.read import read_scene
-from clsplat.synth.write import GEOMETRY
 from tests.data.tiny_model import write_scene
 
 
@@ -13,11 +12,10 @@ def pack(*words):
     return result.exit_code, result.output
 
 
-def test_a_scene_is_copied_with_its_geometry(tmp_path):
+def test_a_scene_is_copied(tmp_path):
     folder = write_scene(tmp_path / "town")
-    (folder / GEOMETRY).write_text("{}")
     code, said = pack(folder, "-o", tmp_path / "copy")
-    assert code == 0 and "4 photos" in said and (tmp_path / "copy" / GEOMETRY).read_text() == "{}"
+    assert code == 0 and "4 photos" in said
     read = read_scene(tmp_path / "copy")
     assert len(read.views) == 4 and len(read.points) == 30
     assert not any(view.source.is_symlink() for view in read.views)

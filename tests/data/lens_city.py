@@ -8,9 +8,9 @@ from scipy.ndimage import map_coordinates
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
-from clsplat.synth.layout import city as lay_out
-from clsplat.synth.raycast import cast
 from tests.data.tiny_training import CITY
+from tools.synth.city import lay_out
+from tools.synth.raycast import cast
 
 REDUCED = 2  # the photos' size, from that of the sample
 ZOOM = 1.2  # of the focal length: a lens with a barrel distortion sees more

@@ -29,6 +29,7 @@ from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.page import Table
 from tools.studies.study import Scene, cell, flags_after, keep, keeps, markdown, outermost, refuse
+from tools.synth.__main__ import synthesise
 
 STEPS_A_STREET = 300  # of a made city, for each of its K x K streets; so many photos show it:
 PHOTOS_A_STREET = 8
@@ -152,9 +153,8 @@ def made_city(work, streets, photos, size):
     """The path of a city of streets x streets, which is made where it is missing."""
     scene = work.out / f"streets-{streets}x{streets}-{photos}-{size}"
     if not scene.exists():
-        if clsplat("synth", "-o", scene, "--blocks", f"{streets}x{streets}", "--views", photos,
-                   "--size", size):
-            raise InputError(f"{scene}: this city could not be made, for the reason above")
+        width, height = map(int, size.split("x"))
+        synthesise(scene, (streets, streets), int(photos), (width, height))
     return scene
 
 

@@ -7,15 +7,12 @@ along one axis of the plane, so that the candidates of each solid are found quic
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from clsplat.camera import Camera
-    from clsplat.synth.geometry import City
-    from clsplat.synth.texture import Texture
+from clsplat.camera import Camera
+from tools.synth.city import City
+from tools.synth.texture import Texture
 
 SAMPLES_PER_SIDE = 3  # of a pixel: 3 x 3 rays, box filtered
 MOST_RAYS = 1 << 18  # at the same time

@@ -6,15 +6,10 @@ smaller than a pixel of the default survey (about 0.13 units).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.synth.geometry import BLOCK_WIDTH, KINDS, PAVEMENT, STREET
-
-if TYPE_CHECKING:
-    from clsplat.synth.geometry import City
+from tools.synth.city import BLOCK_WIDTH, KINDS, PAVEMENT, STREET, City
 
 EDGE_WIDTH = 0.12  # world units
 LATTICE = 32  # cells after which the noise repeats
