@@ -182,7 +182,7 @@ def untrue_module(words, users):
     module = words[0]
     if module.split(".")[0] not in ("clsplat", "tools", "tests"):
         return ""  # pip, venv, dask
-    if users and not module.startswith("clsplat"):
+    if users and not module.startswith(("clsplat", "tools.synth")):  # pages say: in a checkout
         return f"`python -m {module}`: an installed clsplat has no such module"
     if importlib.util.find_spec(module) is None:
         return f"there is no module {module}"
