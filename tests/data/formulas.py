@@ -54,23 +54,6 @@ def opensfm(points, camera):
     return opencv + 0.5
 
 
-def realityscan(points, size, f35, u0, v0, model, values):
-    """Hornacek 2026, equations 27 to 34 and 46 to 50."""
-    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    r2 = x**2 + y**2
-    k1, k2, k3, k4, t1, t2 = values
-    if model == "division":
-        x_, y_ = x / (1 + k1 * r2), y / (1 + k1 * r2)
-    else:
-        radial = k1 * r2 + k2 * r2**2 + k3 * r2**3 + k4 * r2**4
-        x_ = x + x * radial + t2 * 2 * x * y + t1 * (r2 + 2 * x**2)
-        # the paper repeats t1 and t2 of the line above here: by its text they are OpenCV's p2 and
-        # p1, whose factors are exchanged in y
-        y_ = y + y * radial + t1 * 2 * x * y + t2 * (r2 + 2 * y**2)
-    scale, middle = max(size), np.array(size) / 2
-    return (np.column_stack([x_, y_]) * f35 / 36 + (u0, v0)) * scale + middle
-
-
 def pix4d_fisheye(points, centre, affine, polynomial):
     """support.pix4d.com, "How are the internal and external camera parameters defined?"."""
     x, y, z = points.T

@@ -1,6 +1,6 @@
 """A scene written as the projects of other programs, so that reading it back can be compared.
 
-Formats are those that `io/projects/opensfm.py`, `metashape.py`, `realityscan.py` and `opf.py` name.
+Formats are those that `io/scenes/projects/opensfm.py`, `metashape.py` and `opf.py` name.
 """
 
 import json
@@ -14,17 +14,6 @@ from tests.data.layouts import put_photo, world_points, write_json
 
 FLIP = np.array([1.0, -1.0, -1.0])
 Z_UP_TO_Y_UP = np.array([(1.0, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)])
-XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/">
- <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
-  <rdf:Description xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#" xcr:Version="4"
-   xcr:PosePrior="initial" xcr:Coordinates="absolute" {attributes}>
-   <xcr:Rotation>{rotation}</xcr:Rotation>
-   {position}
-   <xcr:DistortionCoeficients>{coefficients}</xcr:DistortionCoeficients>
-  </rdf:Description>
- </rdf:RDF>
-</x:xmpmeta>
-"""
 
 
 def stored(view):
@@ -131,46 +120,6 @@ def write_metashape(folder, scene, transform=None, reference="", extra="", label
 </chunk></document>
 """)
     return folder / "cameras.xml"
-
-
-def yaw_pitch_roll(rotation):
-    """Degrees, of float64[3, 3], world (east, north, up) to camera (right, down, forward)."""
-    ned = np.array([(0, 1.0, 0), (1.0, 0, 0), (0, 0, -1.0)])
-    body = np.stack([-rotation[1], rotation[0], rotation[2]])  # nose, right wing, belly; ENU
-    return Rotation.from_matrix(ned @ body.T).as_euler("ZYX", degrees=True)
-
-
-def write_realityscan(folder, scene, form="angles"):
-    """registration.csv in the form with angles, in that with matrices, or XMP files."""
-    put_photos(folder / "images", scene)
-    rows = {"angles": ["#cameras 9", "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"],
-            "matrices": ["#name,tx,ty,tz,R00,R01,R02,R10,R11,R12,R20,R21,R22,f_pix,px_pix,py_pix,"
-                         "k1,k2,t2,t1,k3,k4 (R = [Rij] provided in row major ordering)"]}
-    for view in scene.views:
-        (width, height), (fx, _, cx, cy), k, p, _ = stored(view)
-        longer, rotation = max(width, height), view.camera.rotation
-        centre, focal = position(scene, view), fx / longer * 36
-        x, y = (cx - width / 2) / longer, (cy - height / 2) / longer
-        rows["angles"].append(",".join(map(repr, map(float, (
-            *centre, *yaw_pitch_roll(rotation), focal, x, y, *k, p[1], p[0])))))
-        rows["matrices"].append(",".join(map(repr, map(float, (
-            *(-rotation @ centre), *rotation.ravel(), fx, cx, cy, k[0], k[1], *p, k[2], k[3])))))
-        for kind in ("angles", "matrices"):
-            rows[kind][-1] = f"{view.name},{rows[kind][-1]}"
-        if form == "xmp":
-            model = "brown3t2" if any(p) else "brown3" if any(k) else "perspective"
-            attributes = (f'xcr:FocalLength35mm="{focal!r}" xcr:Skew="0" xcr:AspectRatio="1" '
-                          f'xcr:PrincipalPointU="{x!r}" xcr:PrincipalPointV="{y!r}" '
-                          f'xcr:DistortionModel="{model}"')
-            # versions of the program write the position as an attribute or as an element
-            element = f"<xcr:Position>{texts(centre)}</xcr:Position>"
-            if view is scene.views[0]:
-                attributes, element = f'{attributes} xcr:Position="{texts(centre)}"', ""
-            (folder / "images" / view.name).with_suffix(".xmp").write_text(XMP.format(
-                attributes=attributes, rotation=texts(rotation), position=element,
-                coefficients=texts([*k, p[1], p[0]])))
-    if form != "xmp":
-        (folder / "registration.csv").write_text("\n".join([*rows[form], ""]))
 
 
 def write_opf(folder, scene, crs="EPSG:32632", shift=(-500000.0, -5300000.0, -200.0),

@@ -19,7 +19,6 @@ from clsplat.io.scenes.colmap import has_model, has_parts, read_citygs, read_col
 from clsplat.io.scenes.projects.metashape import find_metashape, read_metashape
 from clsplat.io.scenes.projects.opensfm import find_opensfm, read_opensfm
 from clsplat.io.scenes.projects.opf import find_opf, read_opf
-from clsplat.io.scenes.projects.realityscan import find_realityscan, read_realityscan
 from clsplat.io.scenes.transforms import has_transforms, read_transforms
 from clsplat.scene import Scene
 
@@ -29,8 +28,7 @@ LAYOUTS = ((has_parts, read_citygs), (has_transforms, read_transforms))
 # the path itself, and their reader
 Project = tuple[Callable[[Path], Path | None], Callable[[Path, str], Scene]]
 PROJECTS: tuple[Project, ...] = (
-    (find_opensfm, read_opensfm), (find_metashape, read_metashape), (find_opf, read_opf),
-    (find_realityscan, read_realityscan))
+    (find_opensfm, read_opensfm), (find_metashape, read_metashape), (find_opf, read_opf))
 # of entry points, by which other packages register readers: NAME = MODULE, with the functions
 # find(path) and read(path, images) as in PROJECTS
 GROUP = "clsplat.scenes"
@@ -42,7 +40,7 @@ def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
     Parameters
     ----------
     path : a folder with a COLMAP model, transforms.json, the layout of CityGS or a project of
-        OpenSfM or ODM, Metashape, RealityScan or OPF; the file of such a project.
+        OpenSfM or ODM, Metashape or OPF; the file of such a project.
     images : the folder of its photos, relative to the scene's; "": images/, see `photo_folder`.
     """
     path = Path(path)
@@ -55,8 +53,7 @@ def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
     if project is not None:
         return placed(with_masks(project, path.parent), path.parent)
     raise InputError(f"{path}: not a scene; give a folder with images and sparse/0, the file of a "
-                     "project (Metashape's XML, RealityScan's CSV, OpenSfM's reconstruction.json, "
-                     "OPF)")
+                     "project (Metashape's XML, OpenSfM's reconstruction.json, OPF)")
 
 
 def is_scene(folder: Path) -> bool:

@@ -346,15 +346,6 @@ def _metashape(folder):
         yield seed
 
 
-def _realityscan(folder):
-    for (seed, scene), forms in zip(_scenes(folder), (("angles", "xmp"), ("matrices", "xmp"))):
-        for form in forms:
-            (seed / form).mkdir(parents=True)
-            projects.write_realityscan(seed / form, scene, form)
-            layouts.write_ply(seed / form / "points3D.ply", scene.points, scene.colours)
-            yield seed / form
-
-
 def _opf(folder):
     for (seed, scene), crs in zip(_scenes(folder), ("EPSG:32632", 'ENGCRS["a"]')):
         seed.mkdir()
@@ -368,7 +359,6 @@ READERS = {
     "transforms": Reader(_made_transforms, _scene, text=True, files=(".json", ".ply")),
     "opensfm": Reader(_opensfm, _scene, text=True, files=(".json", ".csv")),
     "metashape": Reader(_metashape, _scene, text=True, files=(".xml",)),
-    "realityscan": Reader(_realityscan, _scene, text=True, files=(".csv", ".xmp")),
     "opf": Reader(_opf, _scene, text=True, files=(".opf", ".json", ".gltf", ".bin")),
     "image": Reader(_made_images, _image),
     "metadata": Reader(_metadata, _read_metadata, files=(".jpg",)),
