@@ -215,6 +215,11 @@ class Camera:
             pixel += np.array(self.centre)[:, None]
         return pixel.T, p[2]
 
+    def shows(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Which points float64[N, 3], world, lie in front of it and within the image, bool[N]."""
+        pixels, depths = self.project(points)
+        return (depths > 0) & self.contains(pixels)
+
     def contains(self, pixels: NDArray[np.floating], beyond: ArrayLike = 0.0) -> NDArray[np.bool_]:
         """Which pixels lie within the image, as bool[N].
 

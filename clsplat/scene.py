@@ -16,7 +16,7 @@ from clsplat.errors import InputError
 from clsplat.georeference import Georeference
 from clsplat.placement.corrections import Correction
 from clsplat.placement.first_view import first_view
-from clsplat.placement.up import up_axis
+from clsplat.placement.up import UP, Vertical
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -127,8 +127,9 @@ class Scene:
         if self.given_up is not None:
             return self.given_up
         if self.georeference is not None:
-            return np.array([0.0, 0.0, 1.0])
-        return up_axis(np.array([camera.rotation for camera in self._upright]), self.points)
+            return UP.copy()
+        rotations = np.array([camera.rotation for camera in self._upright])
+        return Vertical.by_cameras(rotations, self.points).up
 
     @cached_property
     def first_view(self) -> Camera:

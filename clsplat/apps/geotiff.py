@@ -27,7 +27,6 @@ from clsplat.io.reason import clean, reason
 
 CACHE_MIB = 64  # of GDAL, which takes 5 % of the memory otherwise
 SHOWN = 60  # characters of a CRS in a message
-CURE = "give one with an EPSG code"
 GDAL_ERRORS = RasterioError, CRSError, CPLE_BaseError
 Place = tuple[int, int]  # of a tile: column, row
 
@@ -58,11 +57,6 @@ class Raster:
         for number, (name, unit) in enumerate(bands.items(), 1):
             self._file.set_band_description(number, name)
             self._file.set_band_unit(number, unit or "")
-
-    @property
-    def tiles(self) -> Place:
-        """How many tiles there are (across, down)."""
-        return self.grid.tiles
 
     def write(self, place: Place, values: NDArray[Any]) -> None:
         """Replace a tile, [TILE, TILE, bands]; what lies beyond the raster is left out."""
@@ -132,11 +126,8 @@ class Raster:
                          for at, most in zip(place[::-1], (self.grid.rows, self.grid.columns)))
         return rows, columns
 
-    @contextmanager
-    def _at(self, level: int) -> Iterator[Any]:
-        options = {"overview_level": level - 1} if level else {}
-        with rasterio.open(self._path, **options) as file:
-            yield file
+    def _at(self, level: int) -> Any:
+        return rasterio.open(self._path, **({"overview_level": level - 1} if level else {}))
 
 
 @contextmanager
@@ -149,15 +140,13 @@ def _writing(path: Path) -> Iterator[None]:
                          "that the folder may be written") from None
 
 
-@contextmanager
-def bounded_memory() -> Iterator[None]:
-    """Keeps GDAL's memory small, and its messages off the terminal."""
-    with rasterio.Env(GDAL_CACHEMAX=CACHE_MIB):
-        yield
+def bounded_memory() -> Any:
+    """A context that keeps GDAL's memory small, and its messages off the terminal."""
+    return rasterio.Env(GDAL_CACHEMAX=CACHE_MIB)
 
 
 def check_crs(crs: str) -> None:
-    """Raise InputError unless a GeoTIFF with this CRS reads back the same."""
+    """InputError unless a GeoTIFF with this CRS reads back the same."""
     try:
         wanted = rasterio.CRS.from_user_input(crs)
         with rasterio.MemoryFile() as memory:
@@ -166,10 +155,9 @@ def check_crs(crs: str) -> None:
                              transform=rasterio.Affine(1, 0, 1, 0, -1, 1)) as file:
                 file.write(np.ones((1, 1, 1), np.uint8))
             with memory.open() as file:
-                same = file.crs == wanted
+                why = "" if file.crs == wanted else "it would not read back the same"
     except GDAL_ERRORS as error:
-        raise InputError(f"--crs {clean(crs)[:SHOWN]}: cannot be written to GeoTIFF "
-                         f"({reason(error)}); {CURE}") from None
-    if not same:
-        raise InputError(f"--crs {clean(crs)[:SHOWN]}: a GeoTIFF would not read back the same; "
-                         f"{CURE}")
+        why = reason(error)
+    if why:
+        raise InputError(f"CRS {clean(crs)[:SHOWN]}: cannot be written to GeoTIFF ({why}); "
+                         "georeference the scene in one with an EPSG code")

@@ -14,33 +14,37 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.apps.contours import (
+from clsplat.apps.geotiff import Raster, bounded_memory, check_crs
+from clsplat.apps.map_grid import TILE, MapGrid, ground_resolution
+from clsplat.apps.orthophoto import Extent, MapPainter, extent_of, halved_pixels
+from clsplat.apps.surface import (
+    MARGIN,
+    MOST_POINTS,
     ContourLine,
     contour_interval,
     contour_lines,
+    filled,
+    pits,
+    smoothed,
     write_contours,
+    write_surface,
 )
-from clsplat.apps.geotiff import Raster, bounded_memory, check_crs
-from clsplat.apps.map_grid import TILE, MapGrid, Reprojection, ground_resolution
-from clsplat.apps.orthophoto import Extent, MapPainter, extent_of, halved_pixels
-from clsplat.apps.pits import MARGIN, filled, pits
-from clsplat.apps.surface import MOST_POINTS, preview, write_surface
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
-from clsplat.georeference import AXES, CHECK, CONTROL, Georeference
+from clsplat.georeference import AXES, CHECK, CONTROL
+from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
-from clsplat.io.georeference.crs import WGS84, heights_of
-from clsplat.io.photos.images import write_image
+from clsplat.io.georeference.crs import WGS84, heights_of, on_ground
 from clsplat.io.records import write_object
-from clsplat.partition.region import map_axes
-from clsplat.placement.plausible import recorded_doubts
+from clsplat.report.map_preview import write_preview
 from clsplat.scene import Scene
 
 ORTHOPHOTO, SURFACE, POINTS = "orthophoto.tif", "surface.tif", "surface.laz"
 CONTOURS, PREVIEW, RECORD = "contours.geojson", "preview.png", "map.json"
 FILES = ORTHOPHOTO, SURFACE, POINTS, CONTOURS, PREVIEW, RECORD
 CONTOUR_SIDE = 3000  # pixels of the coarser raster that they are made from
+PREVIEW_SIDE = 1400  # pixels, the longer side of each of its pictures
 HEIGHTS = (0.01, 0.99)  # quantiles that the record has: single pixels may be far off
 DEGREE_DIGITS = 8  # after the point: a millimetre
 COLOURS = dict.fromkeys(("red", "green", "blue", "alpha"))  # bands, without a unit
@@ -50,42 +54,32 @@ EMPTY = (np.zeros((TILE, TILE, 4), np.uint8), np.full((TILE, TILE, 2), np.nan, n
 
 Count = Callable[[str, int, int], object]  # (what, done, total)
 Phase = Callable[[str], object]
-ROLES = (CHECK, CONTROL)
 
 
-def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: Device,
-              folder: Path, *, interval: float | None = None, points: bool = True,
-              fill: int = 0, follow: bool = False, count: Count = lambda *_: None,
+def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Path, *,
+              interval: float | None = None, points: bool = True, fill: int = 0,
+              follow: bool = False, count: Count = lambda *_: None,
               phase: Phase = lambda _: None) -> dict[str, Any]:
     """Write the map of a run into a folder; the files of an earlier map are replaced or removed.
 
     Parameters
     ----------
-    run : finished.
-    scene : of the run.
+    run, scene : finished, and its scene, whose georeference the map has.
     grid : of the map.
-    crs : coordinate reference system (CRS) of the map; None: the scene has no georeference.
     device : an open device.
     folder : created if it is missing.
     interval : between contour lines, map units; None: a round number that suits; 0: none.
     points : whether to write POINTS.
     fill : holes of at most so many pixels across are filled, at most MARGIN.
     follow : whether the bounds become those of all that the map can show.
-    count : called with what is done, how much of it, and how much there is.
-    phase : called with what begins.
+    count, phase : called with what is done, how much of it, and how much there is; and with what
+        begins.
 
     Returns
     -------
     What RECORD holds.
-
-    Raises
-    ------
-    clsplat.ClsplatError : an optional package is missing, the model shows nothing there, there
-        would be too many contour lines, the CRS cannot be written, or the disk is full.
     """
-    to_wgs84 = None if crs is None else Reprojection(crs, WGS84)
-    if to_wgs84 and (points or interval != 0):
-        to_wgs84.to_map(np.empty((0, 3)))  # a missing pyproj is an error before the work
+    crs = scene.georeference.crs if scene.georeference else None
     if crs is not None:
         check_crs(crs)
     make_folder(folder)
@@ -97,7 +91,7 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: De
         if follow:
             grid = extent.around(grid)
         unit = "metre" if crs else "scene unit"
-        statement = stated(scene, crs, run.georeference)
+        statement = stated(scene)
         drawn, result = (
             (Raster(Path(scratch) / f"{stage}-colours", grid, crs, COLOURS, True),
              Raster(Path(scratch) / f"{stage}-surface", grid, crs, dict.fromkeys(HEIGHTS_OF, unit),
@@ -124,9 +118,9 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: De
         phase("writing GeoTIFF files")
         colours.save(folder / ORTHOPHOTO)
         surface.save(folder / SURFACE)
-        write_image(folder / PREVIEW, preview(colours, surface, interval, crs))
+        _write_preview(folder / PREVIEW, colours, surface, interval, unit)
         if interval:
-            _write_contours(folder / CONTOURS, lines, grid, level, to_wgs84)
+            _write_contours(folder / CONTOURS, lines, grid, level, crs)
             files.append(CONTOURS)
         if points:
             phase("writing points")
@@ -165,12 +159,12 @@ def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
         if not level:
             if (column, row) not in met:
                 return None
-            painted = painter.tile(column, row)
+            colours, surface = painter.tile(column, row)
             done += 1
             count("tile", done, len(met))
             inside = extent.inside(finer, column, row)[..., None]
-            return (np.where(inside, painted.colours, 0),
-                    np.where(inside, painted.surface, np.float32(np.nan)))
+            return (np.where(inside, colours, 0),
+                    np.where(inside, surface, np.float32(np.nan)))
         four = [[tile(2 * column + x, 2 * row + y, level - 1) or EMPTY for x in (0, 1)]
                 for y in (0, 1)]
         if all(part is EMPTY for row_of in four for part in row_of):
@@ -194,7 +188,7 @@ def _cleaned(drawn: tuple[Raster, Raster], result: tuple[Raster, Raster], fill: 
     out, and how many are filled."""
     dropped = filled_count = 0
     own = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
-    for y, x in np.ndindex(drawn[0].tiles[::-1]):
+    for y, x in np.ndindex(drawn[0].grid.tiles[::-1]):
         colours = drawn[0].read((x, y), MARGIN)
         alpha = colours[..., 3] > 0
         if not alpha.any():
@@ -217,33 +211,41 @@ def _cleaned(drawn: tuple[Raster, Raster], result: tuple[Raster, Raster], fill: 
 
 
 def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: int,
-                    to_wgs84: Reprojection | None) -> None:
+                    crs: str | None) -> None:
     size = grid.resolution * 2**level
 
     def to_place(line: NDArray[np.float64]) -> NDArray[np.float64]:
         places = np.column_stack([np.array([grid.left, grid.top]) + line * (size, -size),
                                   np.zeros(len(line))])
-        return (places if to_wgs84 is None else to_wgs84.to_map(places))[:, :2]
+        return (on_ground(crs, WGS84, places) if crs else places)[:, :2]
 
-    digits = DEGREE_DIGITS if to_wgs84 else max(0, math.ceil(1 - math.log10(size)))
+    digits = DEGREE_DIGITS if crs else max(0, math.ceil(1 - math.log10(size)))
     write_contours(path, lines, to_place, digits)
 
 
-def stated(scene: Scene, crs: str | None, place: Georeference | None) -> dict[str, Any]:
+def _write_preview(path: Path, colours: Raster, surface: Raster, interval: float, unit: str
+                   ) -> None:
+    level = surface.level(PREVIEW_SIDE)
+    heights = surface.whole(level)[..., 0]
+    with replacing(path) as file:
+        write_preview(file, colours.whole(level), heights, smoothed(heights),
+                      surface.grid.resolution * 2**level, interval, unit)
+
+
+def stated(scene: Scene) -> dict[str, Any]:
     """What is known of a map's exactness, for RECORD: the ground sampling distance of the photos,
     the vertical reference, and the georeference with its residuals, metres."""
     result: dict[str, Any] = {"ground_sampling_distance": ground_resolution(scene)}
-    if place is None or crs is None:
+    place = scene.georeference
+    if place is None:
         return result
     errors = {role: {axis: error.rms for axis, error in place.errors(role).items()}
-              for role in ROLES}
-    flight = scene.unit * float(np.linalg.norm(np.ptp(
-        [view.camera.position @ map_axes(scene.up).T for view in scene.views], axis=0)))
+              for role in (CHECK, CONTROL)}
     return {**result,
             "vertical_reference": place.vertical or heights_of(place.crs).name or "unknown",
             "georeference": {"source": place.source, "residual": place.residual,
                              "residuals_rms": {role: axes for role, axes in errors.items() if axes},
-                             "warnings": list(recorded_doubts(place, flight))}}
+                             "warnings": list(place.warnings)}}
 
 
 def tags_of(statement: dict[str, Any]) -> dict[str, str]:

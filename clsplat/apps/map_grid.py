@@ -1,5 +1,4 @@
-"""The grid of a map: where its pixels lie in a scene, and the cameras that draw them, also between
-the coordinate reference systems (CRS) of the scene and of the map."""
+"""The grid of a map: where its pixels lie in a scene, and the cameras that draw them."""
 
 from __future__ import annotations
 
@@ -12,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.evaluation.survey import ground_samples
-from clsplat.io.georeference.crs import SHOWN, heights_of, map_crs, on_ground
-from clsplat.io.reason import clean
 from clsplat.partition.input import ground_axes
 from clsplat.partition.region import map_axes as horizontal_axes
 from clsplat.scene import Scene
@@ -41,10 +38,8 @@ class MapGrid:
     left, top : map coordinates of the borders of the first pixel.
     resolution : map units a pixel.
     columns, rows : size, pixels.
-    ceiling : height in map coordinates, above which nothing is drawn.
-    floor : height in map coordinates, below which no height is taken for known.
-    reprojection : from the coordinate reference system (CRS) of the scene to that of the map; None:
-        they are the same.
+    ceiling, floor : heights in map coordinates, above which nothing is drawn, and below which no
+        height is taken for known.
     """
 
     axes: NDArray[np.float64]
@@ -56,7 +51,6 @@ class MapGrid:
     rows: int
     ceiling: float
     floor: float = -math.inf
-    reprojection: Reprojection | None = None
 
     @property
     def tiles(self) -> tuple[int, int]:
@@ -91,38 +85,17 @@ class MapGrid:
                        rows=self.rows * factor)
 
     def camera(self, column: int, row: int) -> Camera:
-        """The orthographic camera of a tile, in original coordinates, straight above its middle.
-
-        With a reprojection it has the direction and the scale of the map in its middle: those of a
-        projection that keeps angles hardly change within a tile.
-
-        Parameters
-        ----------
-        column, row : of the tile.
-        """
-        half = TILE / 2 * self.resolution
-        x, y = self.left + (2 * column + 1) * half, self.top - (2 * row + 1) * half
-        middle, west, east = self.to_scene([(x, y, self.ceiling), (x - half, y, self.ceiling),
-                                            (x + half, y, self.ceiling)])
-        right, up = east - west, self.axes[2]
-        size = float(np.linalg.norm(right)) / TILE  # of a pixel in the scene
-        right = right / (size * TILE)
-        rotation = np.stack([right, np.cross(right, up), -up])
-        return Camera(TILE, TILE, (1 / size, 1 / size), (TILE / 2, TILE / 2), rotation,
-                      -rotation @ middle, orthographic=True)
+        """The orthographic camera of a tile, in original coordinates, straight above its middle."""
+        left, bottom, right, top = self.tile_bounds(column, row)
+        middle = np.array([(left + right) / 2, (bottom + top) / 2, self.ceiling])
+        rotation = self.axes * [[1.0], [-1.0], [-1.0]]
+        focal = 1 / self.resolution
+        return Camera(TILE, TILE, (focal, focal), (TILE / 2, TILE / 2), rotation,
+                      -rotation @ ((middle - self.origin) @ self.axes), orthographic=True)
 
     def to_map(self, points: ArrayLike) -> NDArray[np.float64]:
         """Map coordinates float64[N, 3] of points float[N, 3] in original coordinates."""
-        places = np.asarray(points, np.float64) @ self.axes.T + self.origin
-        return places if self.reprojection is None else self.reprojection.to_map(places)
-
-    def to_scene(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Original coordinates float64[N, 3] of points float[N, 3] in map coordinates."""
-        places = np.asarray(points, np.float64)
-        if self.reprojection is not None:
-            places = self.reprojection.to_scene(places)
-        result: NDArray[np.float64] = (places - self.origin) @ self.axes
-        return result
+        return np.asarray(points, np.float64) @ self.axes.T + self.origin
 
     def pixels(self, points: ArrayLike) -> NDArray[np.float64]:
         """(column, row) float64[N, 2] of points float[N, 2 or 3] in map coordinates; the centre of
@@ -131,8 +104,8 @@ class MapGrid:
         return (places - (self.left, self.top)) / (self.resolution, -self.resolution)
 
 
-def map_grid(scene: Scene, resolution: float | None = None, bounds: Bounds | None = None,
-             reprojection: Reprojection | None = None) -> MapGrid:
+def map_grid(scene: Scene, resolution: float | None = None, bounds: Bounds | None = None
+             ) -> MapGrid:
     """The grid of a scene's map.
 
     Parameters
@@ -142,18 +115,12 @@ def map_grid(scene: Scene, resolution: float | None = None, bounds: Bounds | Non
         smallest rectangle around its points.
     resolution : map units a pixel; None: as fine as the photos, see `ground_resolution`.
     bounds : (left, bottom, right, top), map coordinates; None: around the sparse points.
-    reprojection : as for `MapGrid`.
-
-    Raises
-    ------
-    clsplat.ClsplatError : the scene has no points, or the map would be too large.
     """
     if not len(scene.points):
         raise InputError(f"{scene.name}: has no points, so the extent of a map is unknown")
     origin = np.zeros(3) if scene.georeference is None else np.array(scene.georeference.offset)
-    original = scene.offset + scene.unit * scene.points
-    grid = MapGrid(map_axes(scene), origin, 0, 0, 1, 1, 1, 0, reprojection=reprojection)
-    places = grid.to_map(original)
+    grid = MapGrid(map_axes(scene), origin, 0, 0, 1, 1, 1, 0)
+    places = grid.to_map(scene.offset + scene.unit * scene.points)
     lowest, highest = np.quantile(places[:, 2], HEIGHTS)
     size = float(resolution or ground_resolution(scene))
     (left, bottom), (right, top) = np.quantile(places[:, :2], EXTENT, axis=0)
@@ -190,41 +157,3 @@ def ground_resolution(scene: Scene) -> float:
     if not sizes:
         raise InputError(f"{scene.name}: no photo shows a point; give --resolution")
     return float(f"{scene.unit * np.median(sizes):.2g}")
-
-
-@dataclass(frozen=True)
-class Reprojection:
-    """From the CRS of a scene to another one and back; heights stay as they are.
-
-    Attributes
-    ----------
-    scene_crs, map_crs : as `io.georeference.crs.normal_crs` returns them.
-    """
-
-    scene_crs: str
-    map_crs: str
-
-    def to_map(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Points float[N, 3] of the scene's CRS in the map's."""
-        return on_ground(self.scene_crs, self.map_crs, points)
-
-    def to_scene(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Points float[N, 3] of the map's CRS in the scene's."""
-        return on_ground(self.map_crs, self.scene_crs, points)
-
-
-def reprojection_of(own: str, wanted: str) -> Reprojection | None:
-    """From a scene's CRS to the one that its map shall have; None if they are the same.
-
-    Raises
-    ------
-    clsplat.ClsplatError : the wanted one is unknown, not projected with metres as its unit, or has
-        another vertical part than the scene's, as heights are not converted.
-    """
-    crs = map_crs(wanted)
-    vertical, known = heights_of(crs).name, heights_of(own).name
-    if vertical and vertical != known:
-        raise InputError(f"--crs {clean(wanted)[:SHOWN]}: its heights count from {vertical}, those "
-                         f"of the scene from {known or 'what its georeference does not name'}, and "
-                         "heights are not converted; name the horizontal system alone")
-    return None if crs == own else Reprojection(own, crs)

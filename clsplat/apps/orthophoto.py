@@ -38,35 +38,9 @@ LEAST_PART = 0.05  # of the largest part that is known: smaller islands are stra
 BESIDE = 2  # pixels around what is known that are drawn, too
 
 
-@dataclass(frozen=True, eq=False)
-class MapTile:
-    """A tile of a map.
-
-    Attributes
-    ----------
-    colours : uint8[TILE, TILE, 4]: red, green, blue and alpha. Alpha is 255, and 0 in holes and
-        where fewer than two photos show the place. Colours contain the background that shows
-        through, as in the training, which has made dark ground of it: divided by the share that the
-        gaussians cover, they would be too bright (by 5 dB on caliterra).
-    surface : float32[TILE, TILE, 2], heights, map coordinates, and how far above them the first
-        tenth of the light is held back, map units: how sure a height is. nan where alpha is 0, and
-        below the floor of the map.
-    """
-
-    colours: NDArray[np.uint8]
-    surface: NDArray[np.float32]
-
-
 class MapPainter:
-    """Draws the tiles of a map.
-
-    Parameters
-    ----------
-    device : an open device.
-    run : finished.
-    grid : of the map.
-    scene : its cameras show which places the photos cover.
-    """
+    """Draws the tiles of the map of a run; the cameras of the scene show which places the photos
+    cover."""
 
     def __init__(self, device: Device, run: Run, grid: MapGrid, scene: Scene) -> None:
         model, options = run.finished_model, run.options
@@ -80,8 +54,19 @@ class MapPainter:
         self._cameras = [view.camera for view in scene.views]
         self._step = 2.0 ** np.floor(np.log2(grid.resolution / FINENESS))
 
-    def tile(self, column: int, row: int) -> MapTile:
-        """Draw a tile; column and row as for `MapGrid.camera`."""
+    def tile(self, column: int, row: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Draw a tile; column and row as for `MapGrid.camera`.
+
+        Returns
+        -------
+        Colours uint8[TILE, TILE, 4]: red, green, blue and alpha, which is 255, and 0 in holes and
+        where fewer than two photos show the place. Colours contain the background that shows
+        through, as in the training, which has made dark ground of it: divided by the share that the
+        gaussians cover, they would be too bright (by 5 dB on caliterra). Surface
+        float32[TILE, TILE, 2], map units: heights, and how far above them the first tenth of the
+        light is held back, which shows how sure a height is; nan where alpha is 0, and below the
+        floor of the map.
+        """
         camera = self._grid.camera(column, row)
         frame, first = (renderer.render(
             self._rows, renderer.pack(camera.shifted(self._model.offset)), TILE, TILE,
@@ -96,8 +81,8 @@ class MapPainter:
         eight_bits = np.where(known[..., None], np.clip(pixels, 0, 1) * 255 + 0.5, 0)
         surface = np.stack([heights, highest - heights], axis=-1)
         supported = known & (heights >= self._grid.floor)
-        return MapTile(eight_bits.astype(np.uint8),
-                       np.where(supported[..., None], surface, np.nan).astype(np.float32))
+        return (eight_bits.astype(np.uint8),
+                np.where(supported[..., None], surface, np.nan).astype(np.float32))
 
     def _shown(self, camera: Camera, heights: NDArray[np.floating],
                covered: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -139,9 +124,7 @@ def shown_by(cameras: Sequence[Camera], points: NDArray[np.float64]) -> NDArray[
     """int64[N]: how many cameras have points [N, 3], in their world, within their image."""
     total = np.zeros(len(points), np.int64)
     for camera in cameras:
-        pixels, depths = camera.project(points)
-        total += ((depths > 0) & (pixels > 0).all(axis=1)
-                  & (pixels < (camera.width, camera.height)).all(axis=1))
+        total += camera.shows(points)
     return total
 
 
@@ -198,8 +181,8 @@ def extent_of(device: Device, run: Run, scene: Scene, grid: MapGrid) -> Extent:
     middle = (left + right) / 2, (bottom + top) / 2
     coarse = replace(grid, left=float(middle[0] - TILE / 2 * size), resolution=float(size),
                      top=float(middle[1] + TILE / 2 * size), columns=TILE, rows=TILE)
-    tile = MapPainter(device, run, coarse, scene).tile(0, 0)
-    known = binary_opening(np.isfinite(tile.surface[..., 0]), np.ones((3, 3)))
+    _, surface = MapPainter(device, run, coarse, scene).tile(0, 0)
+    known = binary_opening(np.isfinite(surface[..., 0]), np.ones((3, 3)))
     parts, count = label(known)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)
     sizes[0] = 0

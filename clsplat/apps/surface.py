@@ -1,63 +1,154 @@
-"""The surface of a map for the eye, in a preview with the orthophoto, and as points in a file."""
+"""The surface of a map: heights that the light supports, small holes filled, contour lines, points.
+
+Where the ground is thin, half of the light passes it and ends at stray gaussians far below, so that
+the median depth has a pit there. A pit differs from a true hole or a street between houses in where
+the first tenth of the light is held back: above a pit, on the ground; in a true hole, at its
+bottom.
+"""
 
 from __future__ import annotations
 
+import json
+import math
+import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import contourpy
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from clsplat.apps.contours import smoothed
 from clsplat.apps.geotiff import Raster
+from clsplat.errors import InputError
+from clsplat.io.atomic import replacing
 from clsplat.io.models.points import Part, write_points
-from clsplat.report.map_legend import map_legend
 
+WINDOW, STEP = 13, 8  # samples of the local median along a side, and pixels between them
+MARGIN = (WINDOW // 2 + 1) * STEP  # pixels around a tile that its windows need
+LEAST_DEPTH = 10  # pixels: shallower pits are noise, which surfaces have everywhere
+THICK = 0.5  # of a pit's depth: over less of it, and of LEAST_DEPTH, a true bottom's light spreads
+LEAST_SURE = 0.1  # of the samples of a window: with fewer, no unsure height is kept
+LINES, MOST_LINES = 15, 1000  # contour lines, about, unless the interval is given; and at most
+USUAL = (0.02, 0.98)  # quantiles of the heights
+SMOOTHING = 4.0  # pixels: noise of single pixels is no contour line
+SHORTEST = 48  # points of a line; shorter ones are noise
+DIGITS = 9  # of heights
 MOST_POINTS = 10_000_000  # of a LAZ file; a larger map gives a point to several pixels
 FINENESS = 100  # coordinates are stored as multiples of about this part of a pixel
-SUN = np.array([-1.0, 1.0, 1.4])  # east, north, up: from the north-west, as maps are shaded
-# colours of the lowest, of the middle and of the highest ground
-TINTS = np.array([[0.36, 0.55, 0.42], [0.87, 0.82, 0.62], [0.93, 0.91, 0.90]])
-SIDE = 1400  # pixels, the longer side of each picture
+
+Heights = NDArray[np.floating]  # [H, W], nan: unknown
+Mask = NDArray[np.bool_]
+ContourLine = tuple[float, NDArray[np.float64]]  # its height, and (column, row) [N, 2] along it
 
 
-def usual_heights(heights: NDArray[np.floating]) -> tuple[float, float]:
-    """The heights between which a surface is coloured: where 2 and 98 % of it lie, smoothed."""
-    low, high = np.nanquantile(smoothed(heights), (0.02, 0.98))
-    return float(low), float(high)
-
-
-def shaded(heights: NDArray[np.floating], resolution: float, interval: float = 0.0
-           ) -> NDArray[np.float32]:
-    """A picture of a surface, float32[H, W, 3], 0 to 1: coloured by height, lit by the sun, white
-    where nothing is known.
+def pits(heights: Heights, spread: Heights, resolution: float) -> Mask:
+    """Which pixels of a tile are pits, or unsure where hardly any height around is sure,
+    bool[H, W].
 
     Parameters
     ----------
-    heights : [H, W], map units; nan: unknown.
+    heights : [H + 2 MARGIN, W + 2 MARGIN], map units; nan: unknown.
+    spread : as heights: how far above them the first tenth of the light is held back.
     resolution : map units a pixel.
-    interval : between contour lines, map units; 0: none are drawn.
+    """
+    least = LEAST_DEPTH * resolution
+    sure = np.where(spread <= least, heights, np.nan)[STEP // 2::STEP, STEP // 2::STEP]
+    windows = np.lib.stride_tricks.sliding_window_view(sure, (WINDOW, WINDOW))[1:-1, 1:-1]
+    with warnings.catch_warnings():  # of windows in which nothing is sure
+        warnings.simplefilter("ignore", RuntimeWarning)
+        level = np.nanmedian(windows, axis=(-2, -1))
+    level[np.isfinite(windows).mean(axis=(-2, -1)) < LEAST_SURE] = np.inf
+    inner = np.s_[MARGIN:heights.shape[0] - MARGIN, MARGIN:heights.shape[1] - MARGIN]
+    depth = np.kron(level, np.ones((STEP, STEP))) - heights[inner]
+    found: Mask = (depth > least) & (spread[inner] > np.minimum(THICK * depth, least))
+    return found
+
+
+def filled(values: NDArray[np.floating], known: Mask, most: int
+           ) -> tuple[NDArray[np.floating], Mask]:
+    """Values [H, W, bands] whose holes of at most so many pixels across have smooth values from
+    around them, and which pixels are known now."""
+    reach = most // 2
+    grown = distance_transform_edt(~np.pad(known, reach + 1)) <= most / 2
+    after = known | (distance_transform_edt(grown)[reach + 1:-reach - 1, reach + 1:-reach - 1]
+                     > most / 2)
+    if not (known.any() and (after & ~known).any()):
+        return values, known
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    smooth = gaussian_filter(values[tuple(nearest)], (max(1.0, most / 4),) * 2 + (0,),
+                             mode="nearest")
+    return np.where((after & ~known)[..., None], smooth, values), after
+
+
+def smoothed(heights: Heights) -> NDArray[np.float64]:
+    """Heights [H, W] after a Gaussian filter that leaves out those that are nan."""
+    known = ~np.isnan(heights)
+    weight = gaussian_filter(known.astype(np.float64), SMOOTHING)
+    total = gaussian_filter(np.where(known, heights, 0.0), SMOOTHING)
+    result: NDArray[np.float64] = np.where(known, total / np.maximum(weight, 1e-9), np.nan)
+    return result
+
+
+def contour_interval(heights: Heights) -> float:
+    """A round number (1, 2 or 5 times a power of ten) that gives about LINES contour lines, in the
+    unit of the heights; 0 for a surface without heights."""
+    known = heights[~np.isnan(heights)]
+    low, high = np.quantile(known, USUAL) if len(known) else (0.0, 0.0)
+    if not high > low:
+        return 0.0
+    wanted = math.log10((high - low) / LINES)
+    candidates = [math.log10(factor) + math.floor(wanted) + power
+                  for factor in (1, 2, 5) for power in (0, 1)]
+    return float(f"{10 ** min(candidates, key=lambda each: abs(each - wanted)):.1g}")
+
+
+def contour_lines(heights: Heights, interval: float) -> list[ContourLine]:
+    """Contour lines of a surface; the centre of the first pixel is (0.5, 0.5).
+
+    Parameters
+    ----------
+    heights : [H, W]; nan: unknown, where lines end.
+    interval : between lines; heights that are multiples of it have one. 0: there are no lines. An
+        InputError if there would be too many.
     """
     known = ~np.isnan(heights)
-    if not known.any():
-        return np.ones((*heights.shape, 3), np.float32)
-    low, high = usual_heights(heights)
-    filled = np.where(known, heights, low)
-    share = np.clip((filled - low) / max(high - low, np.finfo(float).tiny), 0, 1)
-    colours = np.stack([np.interp(share, (0, 0.5, 1), tint) for tint in TINTS.T], axis=-1)
-    if min(heights.shape) > 1:
-        down, across = np.gradient(filled, resolution)
-        normal = np.stack([-across, down, np.ones_like(down)], axis=-1)
-        light = normal @ (SUN / np.linalg.norm(SUN)) / np.linalg.norm(normal, axis=-1)
-        colours *= (0.35 + 0.8 * np.clip(light, 0, 1))[..., None]
-    if interval > 0:
-        steps = np.floor(np.where(known, smoothed(heights), low) / interval)
-        line = np.zeros(heights.shape, bool)
-        line[1:] |= steps[1:] != steps[:-1]
-        line[:, 1:] |= steps[:, 1:] != steps[:, :-1]
-        colours[line] *= 0.45
-    picture: NDArray[np.float32] = np.where(known[..., None], np.clip(colours, 0, 1), 1
-                                            ).astype(np.float32)
-    return picture
+    if interval <= 0 or not known.any() or min(heights.shape) < 2:
+        return []
+    low, high = np.quantile(heights[known], (0.001, 0.999))
+    with np.errstate(over="ignore"):  # of an interval that is almost 0
+        count = (high - low) / np.float64(interval)
+    if count > MOST_LINES:
+        raise InputError(f"--contours {interval:g}: about {count:.3g} lines; give a larger "
+                         f"interval, at most {MOST_LINES:,} are drawn")
+    generator = contourpy.contour_generator(
+        z=np.ma.masked_array(smoothed(heights), mask=~known))
+    return [(number * interval, np.asarray(line) + 0.5)
+            for number in range(math.ceil(low / interval), math.floor(high / interval) + 1)
+            for line in generator.lines(number * interval) if len(line) >= SHORTEST]
+
+
+def write_contours(path: Path, lines: list[ContourLine],
+                   to_place: Callable[[NDArray[np.float64]], NDArray[np.float64]], digits: int
+                   ) -> None:
+    """Replace a GeoJSON file (RFC 7946); every line is a feature with the property `elevation`.
+
+    Parameters
+    ----------
+    lines : of `contour_lines`.
+    to_place : from (column, row) [N, 2] to the coordinates of the file [N, 2]: longitude and
+        latitude of WGS 84, or the map's coordinates where the scene has no place on the earth.
+    digits : of these coordinates after the point.
+    """
+    vertices = np.concatenate([np.empty((0, 2)), *(line for _, line in lines)])
+    ends = np.cumsum([len(line) for _, line in lines])
+    features: list[dict[str, Any]] = [
+        {"type": "Feature", "properties": {"elevation": round(height, DIGITS)},
+         "geometry": {"type": "LineString", "coordinates": place.tolist()}}
+        for (height, _), place in zip(lines, np.split(np.round(to_place(vertices), digits), ends))]
+    with replacing(path) as file:
+        file.write(json.dumps({"type": "FeatureCollection", "features": features}).encode())
 
 
 def write_surface(path: Path, surface: Raster, colours: Raster, level: int, crs: str | None
@@ -69,52 +160,20 @@ def write_surface(path: Path, surface: Raster, colours: Raster, level: int, crs:
     path : the file; its suffix .laz compresses it.
     surface, colours : rasters of the same size: heights first, and red, green, blue and alpha.
     level : of the rasters that is taken.
-    crs : coordinate reference system (CRS) as pyproj knows it; None: none is written.
-
-    Raises
-    ------
-    clsplat.ClsplatError : laspy is not installed.
+    crs : coordinate reference system (CRS) as pyproj accepts it; None: none is written.
     """
     ends = [(np.nanmin(part[..., 0]), np.nanmax(part[..., 0]))
             for _, _, part in surface.parts(level) if np.isfinite(part[..., 0]).any()]
-    lowest, highest = (min(low for low, _ in ends), max(high for _, high in ends)
-                       ) if ends else (0.0, 0.0)
+    lows, highs = zip(*ends) if ends else ((0.0,), (0.0,))
     left, bottom, right, top = surface.grid.bounds
     size = surface.grid.resolution * 2**level
-    parts = (_points(part[..., 0], colour, left + column * size, top - row * size, size)
-             for (column, row, part), (_, _, colour)
+
+    def points(column: int, row: int, heights: Heights, colour: NDArray[np.uint8]) -> Part:
+        rows, columns = np.nonzero(np.isfinite(heights))
+        places = np.column_stack([left + (column + columns + 0.5) * size,
+                                  top - (row + rows + 0.5) * size, heights[rows, columns]])
+        return places, colour[rows, columns, :3] / 255, np.zeros(len(places))
+    parts = (points(column, row, part[..., 0], colour) for (column, row, part), (_, _, colour)
              in zip(surface.parts(level), colours.parts(level)))
-    write_points(path, parts, ((left, bottom, lowest), (right, top, highest)), size / FINENESS, crs)
-
-
-def _points(heights: NDArray[np.floating], colours: NDArray[np.uint8], left: float, top: float,
-            size: float) -> Part:
-    """The points of a part of a surface, whose pixels have a size."""
-    rows, columns = np.nonzero(np.isfinite(heights))
-    points = np.column_stack([left + (columns + 0.5) * size, top - (rows + 0.5) * size,
-                              heights[rows, columns]])
-    return points, colours[rows, columns, :3] / 255, np.zeros(len(points))
-
-
-def preview(colours: Raster, surface: Raster, interval: float, crs: str | None
-            ) -> NDArray[np.float32]:
-    """A picture float32[H, W, 3], 0 to 1: orthophoto and shaded surface with contour lines on
-    white, with a scale of lengths and one of heights below.
-
-    Parameters
-    ----------
-    colours, surface : rasters of the map.
-    interval : between contour lines, map units; 0: none.
-    crs : of the map; None: lengths are scene units.
-    """
-    level = surface.level(SIDE)
-    pixels = colours.whole(level).astype(np.float32) / 255
-    left = pixels[..., :3] * pixels[..., 3:] + 1 - pixels[..., 3:]
-    heights = surface.whole(level)[..., 0]
-    size = surface.grid.resolution * 2**level
-    gap = np.ones((len(left), max(4, left.shape[1] // 50), 3), np.float32)
-    pictures = np.concatenate([left, gap, shaded(heights, size, interval)], axis=1)
-    legend = map_legend(pictures.shape[1], left.shape[1], size, usual_heights(heights), TINTS,
-                        interval, *(("m", "north is up") if crs else ("scene units", "")))
-    picture: NDArray[np.float32] = np.concatenate([pictures, legend], axis=0)
-    return picture
+    write_points(path, parts, ((left, bottom, min(lows)), (right, top, max(highs))),
+                 size / FINENESS, crs)

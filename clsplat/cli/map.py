@@ -46,8 +46,6 @@ LENGTH, FILL = Parsed("LENGTH", length_of), Parsed("PIXELS", pixels_of)
 @click.option("--resolution", type=LENGTH,
               help="Size of a pixel, such as 5cm; of a scene without georeference a number of "
               "scene units. Default: as fine as the photos.")
-@click.option("--crs", metavar="CRS", help="Coordinate reference system of the map, such as "
-              "EPSG:25833; default: that of the scene.")
 @click.option("--bounds", type=float, nargs=4, metavar="LEFT BOTTOM RIGHT TOP",
               help="Extent in the coordinates of the map; default: all that is covered.")
 @click.option("--contours", type=LENGTH, help="Height between contour lines, "
@@ -58,7 +56,7 @@ LENGTH, FILL = Parsed("LENGTH", length_of), Parsed("PIXELS", pixels_of)
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier map.")
 @moved_scene_flag
 @device_flag
-def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, crs: str | None,
+def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None,
                 bounds: tuple[float, float, float, float] | None,
                 contours: tuple[float, bool] | None, fill: int, no_points: bool, overwrite: bool,
                 scene: Path | None, device: str) -> None:
@@ -71,7 +69,7 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
     from dataclasses import replace
 
     from clsplat.apps.map import FILES, POINTS, sentences, write_map
-    from clsplat.apps.map_grid import map_grid, reprojection_of
+    from clsplat.apps.map_grid import map_grid
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
@@ -82,9 +80,6 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
     place = opened.georeference
     data = replace(opened.scene(scene).with_up(opened.up), georeference=place)
     metric = place is not None
-    if crs is not None and place is None:
-        raise InputError(f"--crs {crs}: {data.name} has no georeference, so its place on the earth "
-                         "is unknown; leave the option out, or georeference the scene first")
     size = _units("--resolution", resolution, metric)
     if size == 0:
         raise InputError("--resolution 0: give the size of a pixel, such as 5cm")
@@ -93,9 +88,7 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
         raise InputError(f"--bounds {' '.join(f'{side:g}' for side in bounds)}: give left, bottom, "
                          "right and top, with left below right and bottom below top")
     interval = _units("--contours", contours, metric)
-    other = None if place is None or crs is None else reprojection_of(place.crs, crs)
-    wanted = other.map_crs if other else place.crs if place else None
-    grid = map_grid(data, size, bounds, other)
+    grid = map_grid(data, size, bounds)
     points = not no_points
     if points:
         try:
@@ -106,8 +99,8 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
     with Progress() as progress:
         progress.phase("opening the device")
         chosen = choose_device(device)
-        record = write_map(opened, data, grid, wanted, chosen, output, interval=interval,
-                           points=points, fill=fill, follow=bounds is None,
+        record = write_map(opened, data, grid, chosen, output, interval=interval, points=points,
+                           fill=fill, follow=bounds is None,
                            count=progress.count, phase=progress.phase)
     unit = "m" if metric else "scene units"
     low, high = record["heights"]
@@ -115,7 +108,7 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
     click.echo(f"{output}: {record['columns']:,} x {record['rows']:,} pixels of "
                f"{record['resolution']:g} {unit}, {record['covered']:.0%} covered, "
                f"{record['pits']:,} unsure heights left out{changed}, 98% of the heights "
-               f"{low:.2f} to {high:.2f} {unit}, {wanted or 'no georeference'}")
+               f"{low:.2f} to {high:.2f} {unit}, {record['crs'] or 'no georeference'}")
     for line in sentences(record, unit):
         click.echo(f"{output}: {line}")
     known = record["covered"] * record["columns"] * record["rows"]

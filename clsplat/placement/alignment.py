@@ -12,8 +12,7 @@ scale it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,10 +42,10 @@ class Alignment:
     Attributes
     ----------
     similarity : from the reconstruction to the positions' axes: east, north, up, metres.
-    used : bool[N], which positions agree with it along the ground; the others are outliers.
-    used_heights : bool[N], which heights agree with it.
-    horizontal, vertical : metres, RMS of the residuals of the positions and heights that are used,
-        along the ground and upwards; vertical is nan without heights.
+    used, used_heights : bool[N], which positions agree with it along the ground, and which heights
+        do; the others are outliers.
+    horizontal, vertical : metres, RMS of the residuals of those that are used, along the ground and
+        upwards; vertical is nan without heights.
     levelled_by_heights : whether the heights determine the scene's tilt better than the cameras.
     stands : whether it is neither upside down nor tilted far from the vertical that is known.
     size : metres, the diagonal along the ground of the positions that are used.
@@ -88,41 +87,29 @@ def aligned(places: ArrayLike, positions: ArrayLike, vertical: Vertical, *,
         np.isfinite(np.column_stack([positions[:, :2], places])), axis=1)
     if known.sum() < LEAST_POSITIONS:
         return None
-    problem = _Problem(places[known], positions[known], vertical,
-                       None if std is None else np.asarray(std, np.float64)[known],
-                       independent_heights)
+    deviations = np.ones(positions.shape) if std is None else np.asarray(std, np.float64)
+    problem = _Problem(places, positions, known, vertical, deviations, independent_heights)
     ends = [end for start in problem.starts() if (end := problem.refined(start)) is not None]
     ends.sort(key=lambda end: (not vertical.stands(end.rotation), problem.cost(end)))
-    result = next(filter(problem.is_consistent, map(problem.judged, ends)), None)
-    if result is None or known.all():
-        return result
-    return replace(result, used=_spread_over(known, result.used),
-                   used_heights=_spread_over(known, result.used_heights))
-
-
-def _spread_over(known: NDArray[np.bool_], values: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    result = np.zeros(len(known), bool)
-    result[known] = values
-    return result
+    return next(filter(problem.is_consistent, map(problem.judged, ends)), None)
 
 
 class _Problem:
-    """The measurements of an alignment; its parameters are a Similarity."""
+    """The measurements of an alignment, those that are known; its parameters are a Similarity."""
 
     def __init__(self, places: NDArray[np.float64], positions: NDArray[np.float64],
-                 vertical: Vertical, std: ArrayLike | None, independent_heights: float) -> None:
-        self.places, self.positions, self.vertical = places, positions, vertical
+                 known: NDArray[np.bool_], vertical: Vertical, std: NDArray[np.float64],
+                 independent_heights: float) -> None:
+        self.known, self.places, self.vertical = known, places[known], vertical
         self.up, self.up_std = vertical.up, np.radians(vertical.degrees)
-        deviations = np.ones(self.positions.shape) if std is None else np.asarray(std, np.float64)
-        deviations = np.maximum(deviations, LEAST_STD)
+        deviations = np.maximum(std[known], LEAST_STD)
         # relative to the typical one, so that estimated standard deviations are in metres
         self.horizontal_std = np.sqrt((deviations[:, :2]**2).mean(axis=1))
         self.horizontal_std /= np.median(self.horizontal_std)
         self.vertical_std = deviations[:, 2] / np.median(deviations[:, 2])
-        self.has_height = np.isfinite(self.positions[:, 2])
-        heights = int(self.has_height.sum())
-        self.height_share = min(1.0, independent_heights / max(heights, 1))
-        self.positions = np.where(np.isfinite(self.positions), self.positions, 0.0)
+        self.has_height = np.isfinite(positions[known, 2])
+        self.height_share = min(1.0, independent_heights / max(int(self.has_height.sum()), 1))
+        self.positions = np.where(np.isfinite(positions[known]), positions[known], 0.0)
         flat = self.positions[:, :2]
         self.least_std = max(LEAST_STD, BENDING * float(np.median(np.linalg.norm(
             flat - np.median(flat, axis=0), axis=1))))
@@ -132,16 +119,11 @@ class _Problem:
         away = similarity(self.places) - self.positions
         return away[:, :2], np.where(self.has_height, away[:, 2], 0.0)
 
-    def starts(self) -> Iterator[Similarity]:
+    def starts(self) -> list[Similarity]:
         """Similarities that fit most of the positions: one that has the given direction
         upwards and does not look at heights, and one that looks at positions alone."""
         rng = np.random.default_rng(0)
-        level = self._level_start(rng)
-        if level is not None:
-            yield level
-        free = self._free_start(rng)
-        if free is not None:
-            yield free
+        return [start for start in (self._level_start(rng), self._free_start(rng)) if start]
 
     def _level_start(self, rng: np.random.Generator) -> Similarity | None:
         rotation = rotation_to(self.up, UP)
@@ -179,7 +161,7 @@ class _Problem:
                 best, least = similarity, error
         return best
 
-    def deviations(self, similarity: Similarity) -> tuple[float, float]:
+    def _deviations(self, similarity: Similarity) -> tuple[float, float]:
         """Robust standard deviations, along one axis of the ground and upwards, metres."""
         horizontal, vertical = self.residuals(similarity)
         ground = np.linalg.norm(horizontal, axis=1) / self.horizontal_std
@@ -230,8 +212,8 @@ class _Problem:
         tilt = self._tilt(similarity)
         weight = 1 / np.sqrt(self.up_std**2 + tilt**2 / CAUCHY)
         matrix = np.concatenate([(root * columns).reshape(-1, 7), weight * prior])
-        vector = np.concatenate([(root[:, :, 0] * errors).ravel(),
-                                 weight * tilt * _direction(up[:2])])
+        away_from_up = up[:2] / (np.linalg.norm(up[:2]) or 1.0)
+        vector = np.concatenate([(root[:, :, 0] * errors).ravel(), weight * tilt * away_from_up])
         if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
             return None
         try:
@@ -243,14 +225,11 @@ class _Problem:
     def _weights(self, similarity: Similarity, horizontal: NDArray[np.float64],
                  vertical: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weights [N, 3] of squared residuals, 1 / metres^2."""
-        ground_std, height_std = self.deviations(similarity)
-        ground = (horizontal**2).sum(axis=1)
-        weights = np.empty((len(ground), 3))
-        variance = (ground_std * self.horizontal_std)**2
-        weights[:, :2] = (1 / (variance + ground / CAUCHY))[:, None]
-        variance = (height_std * self.vertical_std)**2
-        weights[:, 2] = self.has_height * self.height_share / (variance + vertical**2 / CAUCHY)
-        return weights
+        ground_std, height_std = self._deviations(similarity)
+        ground = 1 / ((ground_std * self.horizontal_std)**2 + (horizontal**2).sum(axis=1) / CAUCHY)
+        height = self.has_height * self.height_share / (
+            (height_std * self.vertical_std)**2 + vertical**2 / CAUCHY)
+        return np.column_stack([ground, ground, height])
 
     def _tilt(self, similarity: Similarity) -> float:
         """Angle between up and the direction that cameras show as up, radians."""
@@ -258,7 +237,7 @@ class _Problem:
 
     def cost(self, similarity: Similarity) -> float:
         """The negative logarithm of the likelihood, but for a constant."""
-        ground_std, height_std = self.deviations(similarity)
+        ground_std, height_std = self._deviations(similarity)
         heights = self.height_share * self.has_height.sum()
         vertical = heights * np.log(height_std) if heights else 0.0
         return float(2 * len(self.places) * np.log(ground_std) + vertical
@@ -267,28 +246,29 @@ class _Problem:
     def judged(self, similarity: Similarity) -> Alignment:
         """The result, with its residuals."""
         horizontal, vertical = self.residuals(similarity)
-        ground_std, height_std = self.deviations(similarity)
+        ground_std, height_std = self._deviations(similarity)
         ground = np.linalg.norm(horizontal, axis=1)
-        used = ground <= OUTLIER * ground_std * self.horizontal_std
-        heights = self.has_height & (np.abs(vertical) <= OUTLIER * height_std * self.vertical_std)
+        right = ground <= OUTLIER * ground_std * self.horizontal_std
+        level = self.has_height & (np.abs(vertical) <= OUTLIER * height_std * self.vertical_std)
+        used, used_heights = np.zeros((2, len(self.known)), bool)
+        used[self.known], used_heights[self.known] = right, level
         weights = self._weights(similarity, horizontal, vertical)
         away = similarity(self.places)
-        level = away[:, :2] - away[used, :2].mean(axis=0)
+        arms = away[:, :2] - away[right, :2].mean(axis=0)
         # how well the heights determine the tilt, about the axis about which it is worst
-        information = np.linalg.eigvalsh((level * weights[:, 2:]).T @ level)[0]
+        information = np.linalg.eigvalsh((arms * weights[:, 2:]).T @ arms)[0]
+        flat = self.positions[right, :2]
         return Alignment(
-            similarity, used, heights, _rms(ground[used]), _rms(vertical[used & heights]),
+            similarity, used, used_heights, _rms(ground[right]), _rms(vertical[right & level]),
             bool(information > 1 / self.up_std**2), self.vertical.stands(similarity.rotation),
-            _diagonal(self.positions[used, :2]))
+            float(np.linalg.norm(np.ptp(flat, axis=0))) if len(flat) else 0.0)
 
     def is_consistent(self, result: Alignment) -> bool:
         """Whether the positions that are used are enough, and residuals smaller than their spread.
         """
-        if result.used.sum() < LEAST_POSITIONS:
-            return False
-        spread = self.positions[result.used, :2]
-        size = float(np.sqrt(((spread - spread.mean(axis=0))**2).sum(axis=1).mean()))
-        return bool(result.horizontal <= LARGEST_SHARE * size)
+        flat = self.positions[result.used[self.known], :2]
+        return len(flat) >= LEAST_POSITIONS and bool(result.horizontal <= LARGEST_SHARE * np.sqrt(
+            ((flat - flat.mean(axis=0))**2).sum(axis=1).mean()))
 
 
 def _samples(rng: np.random.Generator, count: int, size: int) -> NDArray[np.intp]:
@@ -298,16 +278,6 @@ def _samples(rng: np.random.Generator, count: int, size: int) -> NDArray[np.intp
     if size == 2 and count * (count - 1) // 2 <= SAMPLES:
         return np.column_stack(np.triu_indices(count, 1))
     return np.array([rng.choice(count, size, replace=False) for _ in range(SAMPLES)])
-
-
-def _diagonal(flat: NDArray[np.float64]) -> float:
-    """Of the box around places [N, 2]."""
-    return float(np.linalg.norm(np.ptp(flat, axis=0))) if len(flat) else 0.0
-
-
-def _direction(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    length = float(np.linalg.norm(vector))
-    return vector / length if length > 0 else vector
 
 
 def _typical(values: NDArray[np.float64]) -> float:

@@ -29,12 +29,7 @@ class Correction:
     shift: NDArray[np.float64]
 
     def applied(self, camera: Camera) -> Camera:
-        """The camera with the corrected pose.
-
-        Parameters
-        ----------
-        camera : as it was given.
-        """
+        """The camera with the corrected pose."""
         return camera.moved(self.turn, self.shift)
 
     @property
@@ -44,31 +39,16 @@ class Correction:
 
 
 def correction_between(given: Camera, wanted: Camera) -> Correction:
-    """The correction that makes the pose of one camera that of another.
-
-    Parameters
-    ----------
-    given, wanted : cameras in the same world.
-    """
+    """The correction that makes the pose of one camera that of another, in the same world."""
     turn = Rotation.from_matrix(wanted.rotation @ given.rotation.T).as_rotvec()
     return Correction(turn, given.rotation @ (wanted.position - given.position))
 
 
 def typical_depth(cameras: Sequence[Camera], points: ArrayLike) -> float:
-    """World units: the median over cameras of the median depth of the points that they see.
-
-    Parameters
-    ----------
-    cameras : of the views.
-    points : float[N, 3], world. Without one in an image, 1 is returned.
-    """
-    medians = []
-    for camera in cameras:
-        pixels, depths = camera.project(points)
-        seen = (depths > 0) & (pixels > 0).all(axis=1) & (
-            pixels < (camera.width, camera.height)).all(axis=1)
-        if seen.any():
-            medians.append(np.median(depths[seen]))
+    """World units: the median over cameras of the median depth of the points float[N, 3] that they
+    see; 1 if they see none."""
+    medians = [np.median(camera.project(points)[1][seen]) for camera in cameras
+               if (seen := camera.shows(points)).any()]
     return float(np.median(medians)) if medians else 1.0
 
 
@@ -83,8 +63,7 @@ def without_common_motion(given: Sequence[Camera], corrections: Sequence[Correct
 
     Parameters
     ----------
-    given : the cameras as they were given.
-    corrections : of these.
+    given, corrections : the cameras as they were given, and their corrections.
     depth : world units.
     """
     if not given:

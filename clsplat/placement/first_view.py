@@ -11,7 +11,7 @@ from clsplat.camera import Camera
 
 WIDTH, HEIGHT, DEGREES = 1280, 720, 50.0  # of a view from above
 STEEP = -0.35  # cameras that look downwards more than this (20 degrees) are above their scene
-CORE = (0.05, 0.95)  # quantiles of the points that a view from above shows whole
+CORE = 0.95  # share of the points that a view from above shows whole
 LEAST_EXTENT = 1e-6  # of the distance from the origin; points that are closer together are one
 # degrees above the horizon of a view from above: as steep as the photos, within these limits
 ELEVATIONS = (35.0, 60.0)
@@ -32,23 +32,24 @@ def first_view(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDArr
     up : [3], world; a unit vector.
     north : [3], world; a horizontal unit vector that is upwards on a map. None: unknown.
     """
-    forward = np.array([camera.rotation[2] for camera in cameras])
-    steepness = float(np.median(forward @ up))
+    steepness = float(np.median([camera.rotation[2] @ up for camera in cameras]))
     positions = np.array([camera.position for camera in cameras])
-    heights = points @ up
-    above = len(points) and np.median(positions @ up) > np.quantile(heights, 0.8)
-    if steepness < STEEP and above:
+    if steepness < STEEP and len(points) and (
+            np.median(positions @ up) > np.quantile(points @ up, 0.8)):
         if north is None:
             north = _towards(cameras, _near(points), up)
         distances = np.linalg.norm(positions - np.median(points, axis=0), axis=1)
         return view_from_above(points, up, north, steepness, float(np.median(distances)))
-    return _middle(cameras, points)
+    # the camera that shows most points, among the half nearest to the middle of all
+    away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
+    near = np.argsort(away, kind="stable")[:(len(cameras) + 1) // 2]
+    return cameras[max(near.tolist(), key=lambda index: int(cameras[index].shows(points).sum()))]
 
 
 def _near(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """The points without those that are farthest from the median."""
     distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    near: NDArray[np.float64] = points[distances <= np.quantile(distances, CORE[1])]
+    near: NDArray[np.float64] = points[distances <= np.quantile(distances, CORE)]
     return near
 
 
@@ -66,18 +67,18 @@ def view_from_above(points: NDArray[np.float64], up: NDArray[np.float64],
     middle, near = np.median(points, axis=0), _near(points)
     elevation = np.radians(np.clip(np.degrees(np.arcsin(-steepness)), *ELEVATIONS))
     forward = np.cos(elevation) * north - np.sin(elevation) * up
-    view = Camera.looking_at(middle, middle - forward, up=up, width=WIDTH, height=HEIGHT,
-                             degrees=DEGREES)
+
+    def at(distance: float) -> Camera:
+        return Camera.looking_at(middle, middle - distance * forward, up=up, width=WIDTH,
+                                 height=HEIGHT, degrees=DEGREES)
     # the distance at which the core fits: a point at (x, y, z) of the camera's axes is within the
     # image if |x| <= tan (z + distance), and so for y
+    view = at(1.0)
     right, down, ahead = view.rotation @ (near - middle).T
     tangents = view.width / 2 / view.focal[0], view.height / 2 / view.focal[1]
     reach = np.maximum(np.abs(right) / tangents[0], np.abs(down) / tangents[1]) - ahead
-    distance = float(np.quantile(reach, CORE[1]))
-    if not distance > LEAST_EXTENT * float(np.linalg.norm(middle)):
-        distance = if_one
-    return Camera.looking_at(middle, middle - distance * forward, up=up, width=WIDTH,
-                             height=HEIGHT, degrees=DEGREES)
+    distance = float(np.quantile(reach, CORE))
+    return at(distance if distance > LEAST_EXTENT * float(np.linalg.norm(middle)) else if_one)
 
 
 def _towards(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDArray[np.float64]
@@ -90,17 +91,3 @@ def _towards(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDArray
     shorter: NDArray[np.float64] = np.linalg.eigh(along.T @ along)[1][:, 0] @ plane
     looks = sum(camera.rotation[2] - 0.1 * camera.rotation[1] for camera in cameras)
     return shorter if shorter @ looks >= 0 else -shorter
-
-
-def _middle(cameras: Sequence[Camera], points: NDArray[np.float64]) -> Camera:
-    """The camera that shows most points, among the half nearest to the middle of all."""
-    positions = np.array([camera.position for camera in cameras])
-    away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
-    near = np.argsort(away, kind="stable")[:(len(cameras) + 1) // 2]
-
-    def shown(camera: Camera) -> int:
-        pixels, depths = camera.project(points)
-        return int(((depths > 0) & (pixels > 0).all(axis=1)
-                    & (pixels < (camera.width, camera.height)).all(axis=1)).sum())
-
-    return cameras[max(near.tolist(), key=lambda index: shown(cameras[index]))]

@@ -9,12 +9,12 @@ were exchanged, mirrored or had other heights.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.georeference import MOST_RESIDUAL, Georeference
+from clsplat.georeference import MOST_RESIDUAL
 from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, LEAST_POSITIONS, Alignment, aligned
 from clsplat.placement.up import Vertical
 
@@ -26,15 +26,9 @@ LINE = 0.03  # of the size: positions that are all nearer to a line fit their mi
 LINE_MISSES = 3.0  # or nearer than so many residuals: the deviation from a line may be noise
 
 
-@dataclass(frozen=True, eq=False)
-class Guess:
-    """What positions may be instead.
-
-    Attributes
-    ----------
-    question : for the user, such as "are x and y exchanged?".
-    positions : float[N, 3], as they are then.
-    """
+class Guess(NamedTuple):
+    """What positions may be instead: a question for the user, such as "are x and y exchanged?",
+    and the positions float64[N, 3] as they are then."""
 
     question: str
     positions: NDArray[np.float64]
@@ -60,52 +54,59 @@ def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
     ------
     Implausible : there is none, it is upside down or tilted, or a guess fits far better.
     """
-    result = aligned(places, positions, vertical, std=std, independent_heights=independent_heights)
+    def attempt(measured: ArrayLike) -> Alignment | None:
+        return aligned(places, measured, vertical, std=std,
+                       independent_heights=independent_heights)
+
+    def miss(found: Alignment) -> float:
+        heights = heights_count and np.isfinite(found.vertical)
+        return float(np.hypot(found.horizontal, found.vertical)) if heights else found.horizontal
+
+    result = attempt(positions)
     question, least = "", np.inf
     if result is not None and result.stands:
         if len(result.used) < LEAST_FOR_GUESS:
             return result
-        least = _miss(result, heights_count) / result.size / TIMES_BETTER
+        least = miss(result) / result.size / TIMES_BETTER
     for guess in guesses:
-        other = aligned(places, guess.positions, vertical, std=std,
-                        independent_heights=independent_heights)
+        other = attempt(guess.positions)
         if other is None or not other.stands or (
                 result is not None and other.used.sum() < result.used.sum()):
             continue
-        share = _miss(other, heights_count) / other.size
+        share = miss(other) / other.size
         if share <= MOST_RESIDUAL and share < least:
             least, question = share, guess.question
     if result is None:
-        raise Implausible(_asked("and the reconstruction contradict each other, or the places are "
-                                 "too close together", question))
-    if not result.stands:
-        raise Implausible(_asked("fit only if the scene is turned upside down or tilted by "
-                                 f"{vertical.tilt(result.similarity.rotation):.0f} degrees",
-                                 question))
-    if question:
-        raise Implausible(_asked(
-            f"miss the reconstruction by {_miss(result, heights_count):.3g} m", question))
-    return result
+        reason = ("and the reconstruction contradict each other, or the places are too close "
+                  "together")
+    elif not result.stands:
+        reason = ("fit only if the scene is turned upside down or tilted by "
+                  f"{vertical.tilt(result.similarity.rotation):.0f} degrees")
+    elif question:
+        reason = f"miss the reconstruction by {miss(result):.3g} m"
+    else:
+        return result
+    raise Implausible(f"{reason}: {question}" if question else reason)
 
 
-def doubts(result: Alignment, positions: ArrayLike, vertical: Vertical, size_of: str,
-           heights_count: bool = False) -> list[str]:
+def doubts(result: Alignment, positions: ArrayLike, vertical: Vertical, size_of: str, *,
+           residuals: tuple[float, float] | None = None, heights_count: bool = False) -> list[str]:
     """Sentences on what a user must not rely on in an alignment.
 
     Parameters
     ----------
     positions, vertical : that it was made of.
     size_of : what its size is that of, such as "the flight".
+    residuals : metres, along the ground and in height; None: its own.
     heights_count : whether heights are as right as the rest.
     """
-    return [*residual_doubts(result.horizontal, result.vertical, result.size, size_of),
-            *position_doubts(result, positions, vertical, heights_count)]
-
-
-def position_doubts(result: Alignment, positions: ArrayLike, vertical: Vertical,
-                    heights_count: bool) -> list[str]:
-    """As `doubts`, but for residuals."""
-    found = []
+    found = [f"the residual of {value:.2f} m {where} is {100 * value / max(result.size, 1e-9):.0f} "
+             f"% of the size of {size_of}, {result.size:.0f} m: {cure}"
+             for value, where, cure in zip(
+                 residuals or (result.horizontal, result.vertical),
+                 ("along the ground", "in height"),
+                 ("place, scale and directions are uncertain", "do not rely on heights"))
+             if np.isfinite(value) and value > MOST_RESIDUAL * result.size]
     wrong = ~result.used | (~result.used_heights if heights_count else False)
     if wrong.mean() > MOST_LEFT_OUT:
         found.append(f"{wrong.sum()} of {len(wrong)} positions contradict the others, so the "
@@ -124,31 +125,3 @@ def position_doubts(result: Alignment, positions: ArrayLike, vertical: Vertical,
         found.append("the positions lie on one line, so that the tilt across it is not measured, "
                      "and exchanged or mirrored coordinates would not be noticed")
     return found
-
-
-def residual_doubts(horizontal: float, vertical: float, size: float, size_of: str) -> list[str]:
-    """A sentence for each residual beyond MOST_RESIDUAL of a size, metres."""
-    return [f"the residual of {value:.2f} m {where} is {100 * value / max(size, 1e-9):.0f} % of "
-            f"the size of {size_of}, {size:.0f} m: {cure}"
-            for value, where, cure in (
-                (horizontal, "along the ground", "place, scale and directions are uncertain"),
-                (vertical, "in height", "do not rely on heights"))
-            if np.isfinite(value) and value > MOST_RESIDUAL * size]
-
-
-def recorded_doubts(known: Georeference, flight: float) -> tuple[str, ...]:
-    """The warnings of a georeference. An older one has no size, and is judged by that of the
-    flight, metres."""
-    if known.size or not flight:
-        return known.warnings
-    return (*known.warnings, *residual_doubts(known.residual, 0.0, flight, "the flight"))
-
-
-def _miss(result: Alignment, heights_count: bool) -> float:
-    if heights_count and np.isfinite(result.vertical):
-        return float(np.hypot(result.horizontal, result.vertical))
-    return result.horizontal
-
-
-def _asked(reason: str, question: str) -> str:
-    return f"{reason}: {question}" if question else reason

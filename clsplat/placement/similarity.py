@@ -14,9 +14,7 @@ class Similarity:
 
     Attributes
     ----------
-    scale : target units for one unit of the source, above 0.
-    rotation : float64[3, 3].
-    translation : float64[3], target units.
+    scale, rotation, translation : above 0, float64[3, 3], and float64[3] in target units.
     """
 
     scale: float
@@ -26,10 +24,6 @@ class Similarity:
     def __call__(self, points: ArrayLike) -> NDArray[np.float64]:
         """Transform points float[N, 3]."""
         return self.scale * np.asarray(points, np.float64) @ self.rotation.T + self.translation
-
-    def moved(self, by: ArrayLike) -> Similarity:
-        """The same transform followed by a translation `by` float[3]."""
-        return Similarity(self.scale, self.rotation, self.translation + np.asarray(by, np.float64))
 
 
 def fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similarity | None:
@@ -41,7 +35,7 @@ def fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similari
 
     Returns
     -------
-    None if the points are too few, or lie on a line or at one place, so that they determine none.
+    None if the points are too few, on a line or at one place, so that they determine none.
     """
     if len(source) < 3:
         return None
@@ -54,20 +48,19 @@ def fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similari
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
     rotation = (left * signs) @ right
     scale = float((values * signs).sum()) / spread
-    if not scale > 0:
-        return None
-    return Similarity(scale, rotation, to_middle - scale * rotation @ from_middle)
+    return Similarity(scale, rotation, to_middle - scale * rotation @ from_middle
+                      ) if scale > 0 else None
 
 
 def rotation_to(direction: NDArray[np.float64], target: NDArray[np.float64]
                 ) -> NDArray[np.float64]:
     """The smallest rotation [3, 3] that turns one unit vector into another."""
-    cross, cosine = np.cross(direction, target), float(direction @ target)
+    cosine = float(direction @ target)
     if cosine < -1 + 1e-9:  # half a turn about any axis across
         axis = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
         axis /= np.linalg.norm(axis)
         return 2 * np.outer(axis, axis) - np.eye(3)
-    matrix = cross_matrix(cross)
+    matrix = cross_matrix(np.cross(direction, target))
     rotation: NDArray[np.float64] = np.eye(3) + matrix + matrix @ matrix / (1 + cosine)
     return rotation
 

@@ -46,12 +46,27 @@ class Vertical:
 
     @classmethod
     def by_cameras(cls, rotations: NDArray[np.float64], points: NDArray[np.float64]) -> Vertical:
-        """As `up_axis`. On a facade the plane of the points stands upright, so that both of its
-        candidates may be up."""
-        found = _candidates(rotations, points)
+        """Estimated by cameras and points.
+
+        There are two candidates: the direction most perpendicular to the rows of the images, since
+        photographers keep the horizon level (Brown and Lowe 2007, section 5), and the normal of the
+        plane through the points. The better determined one is taken as up. Its sign follows the
+        tops of the images or, if they look along it, the direction away from which they look. A
+        minority of turned photos, or of points on buildings and trees, has little influence. On a
+        facade the plane of the points stands upright, so that both candidates may be up.
+
+        Parameters
+        ----------
+        rotations, points : [V, 3, 3], world to camera; [N, 3], world, the sparse points.
+        """
+        looks: NDArray[np.float64] = -rotations[:, 1:].mean(axis=0)
+        found = [_least_spread(rotations[:, 0])]
+        if len(points):
+            found.append(_least_spread(_centred(points)))
+        found = sorted(((axis if _sense(looks, axis) >= 0 else -axis, ratio)
+                        for axis, ratio in found), key=lambda candidate: candidate[1])
         known = [direction for direction, ratio in found if ratio < UNDETERMINED]
-        return cls(found[0][0], CAMERA_DEGREES, np.array(known).reshape(-1, 3),
-                   _looks(rotations))
+        return cls(found[0][0], CAMERA_DEGREES, np.array(known).reshape(-1, 3), looks)
 
     def tilt(self, rotation: NDArray[np.float64]) -> float:
         """Degrees between up and the nearest direction that is known, once a rotation has turned
@@ -66,39 +81,6 @@ class Vertical:
         return not on_its_head and self.tilt(rotation) <= MOST_TILT
 
 
-def up_axis(rotations: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Estimate the unit vector [3] that points up.
-
-    There are two candidates: the direction most perpendicular to the rows of the images, since
-    photographers keep the horizon level (Brown and Lowe 2007, section 5), and the normal of the
-    plane through the points. The better determined one is taken. Its sign follows the tops of the
-    images or, if they look along it, the direction away from which they look. A minority
-    of turned photos, or of points on buildings and trees, has little influence.
-
-    Parameters
-    ----------
-    rotations : [V, 3, 3], world to camera.
-    points : [N, 3], world; sparse points.
-    """
-    return _candidates(rotations, points)[0][0]
-
-
-def _candidates(rotations: NDArray[np.float64], points: NDArray[np.float64]
-                ) -> list[tuple[NDArray[np.float64], float]]:
-    """The candidates of `up_axis`, the better determined one first, with their ratios of spread."""
-    found = [_least_spread(rotations[:, 0])]
-    if len(points):
-        found.append(_least_spread(_centred(points)))
-    looks = _looks(rotations)
-    return [(axis if _sense(looks, axis) >= 0 else -axis, ratio)
-            for axis, ratio in sorted(found, key=lambda candidate: candidate[1])]
-
-
-def _looks(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
-    means: NDArray[np.float64] = -rotations[:, 1:].mean(axis=0)
-    return means
-
-
 def _sense(looks: NDArray[np.float64], axis: NDArray[np.float64]) -> float:
     """Above 0 if an axis points up, by the tops of the photos or, if these do not show it, since
     photos that look along it look down."""
@@ -108,17 +90,14 @@ def _sense(looks: NDArray[np.float64], axis: NDArray[np.float64]) -> float:
 
 def gimbal_up(rotations: NDArray[np.float64], pitches: NDArray[np.float64],
               rolls: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """The unit vector [3] that points up by the angles of gimbals, which measure gravity.
+    """The unit vector [3] that points up by the angles of gimbals, which measure gravity; None if
+    they contradict each other.
 
     Parameters
     ----------
     rotations : [V, 3, 3], world to camera.
-    pitches : [V], degrees; -90 if the camera looks straight down.
-    rolls : [V], degrees, clockwise.
-
-    Returns
-    -------
-    None if the gimbals contradict each other.
+    pitches, rolls : [V], degrees; a pitch is -90 if the camera looks straight down, a roll is
+        clockwise.
     """
     pitch, roll = np.radians(pitches), np.radians(rolls)
     in_camera = np.stack([-np.cos(pitch) * np.sin(roll), -np.cos(pitch) * np.cos(roll),
@@ -128,9 +107,8 @@ def gimbal_up(rotations: NDArray[np.float64], pitches: NDArray[np.float64],
     length = float(np.linalg.norm(up))
     if not length > 0:
         return None
-    up /= length
-    angles = np.degrees(np.arccos(np.clip(ups @ up, -1, 1)))
-    return up if np.median(angles) <= GIMBAL_SPREAD else None
+    angles = np.degrees(np.arccos(np.clip(ups @ up / length, -1, 1)))
+    return up / length if np.median(angles) <= GIMBAL_SPREAD else None
 
 
 def _least_spread(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

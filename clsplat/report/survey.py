@@ -13,7 +13,6 @@ from matplotlib.ticker import MaxNLocator
 
 from clsplat.evaluation.survey import Survey, missing_photos, spreads, survey_of
 from clsplat.georeference import CHECK, CONTROL, LEFT_OUT
-from clsplat.placement.plausible import recorded_doubts
 from clsplat.report.drawing import drawn
 from clsplat.report.figures import COLOURS, NARROW, WIDE
 from clsplat.report.page import Table, folded, headed, warning
@@ -54,9 +53,8 @@ def _section(survey: Survey) -> str:
 def warnings(survey: Survey) -> tuple[str, ...]:
     """Sentences that the reader must not miss: those of the georeference and of `clsplat sfm`."""
     known, recorded = survey.georeference, survey.record.get("warnings")
-    doubts = recorded_doubts(known, survey.size) if known else ()
     return tuple(dict.fromkeys(map(str, (
-        *doubts, *(recorded if isinstance(recorded, list) else ())))))
+        *(known.warnings if known else ()), *(recorded if isinstance(recorded, list) else ())))))
 
 
 def facts_table(survey: Survey) -> Table:

@@ -17,11 +17,7 @@ from clsplat import __version__
 from clsplat.errors import InputError
 from clsplat.io.folders import make_folder
 from clsplat.io.georeference.adjustment import NotGeoreferenced, check_marks
-from clsplat.io.georeference.control_points import (
-    ControlPoints,
-    read_control_points,
-    require_no_checks,
-)
+from clsplat.io.georeference.control_points import ControlPoints, read_control_points
 from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction, turned
@@ -202,9 +198,6 @@ def is_finished(output: Path, source: Path) -> bool:
 def _control(options: SfmOptions) -> ControlPoints:
     """The ground control points, and the CRS of the scene, "" if it is not given."""
     crs = scene_crs(options.crs) if options.crs else None
-    if options.control_points is None:
-        require_no_checks(options.check_points)
-        return ControlPoints(crs=crs or "")
     return read_control_points(options.control_points, crs, options.check_points)
 
 

@@ -11,10 +11,11 @@ from click.testing import CliRunner
 
 from clsplat.apps import map as module
 from clsplat.apps.map import write_map
-from clsplat.apps.map_grid import Reprojection, ground_resolution, map_grid, reprojection_of
+from clsplat.apps.map_grid import ground_resolution, map_grid
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
+from clsplat.io.georeference.crs import on_ground
 from clsplat.options import TrainOptions
 from tests.data import ground_model as made
 
@@ -31,9 +32,7 @@ def run_of(path, scene):
 def drawn(device, folder, resolution=0.05, georeference=made.UTM, **options):
     scene = made.scene(georeference)
     grid = map_grid(scene, resolution)
-    crs = georeference.crs if georeference else None
-    record = write_map(run_of(folder, scene), scene, grid, crs, device, folder, points=False,
-                       **options)
+    record = write_map(run_of(folder, scene), scene, grid, device, folder, points=False, **options)
     return grid, record, *rasters(folder)
 
 
@@ -94,11 +93,10 @@ def test_contour_lines_surround_the_house_in_degrees(house):
     base = made.OFFSET[2] + made.UTM.offset[2]
     assert lines and all(base < line["properties"]["elevation"] < base + made.ROOF
                          for line in lines)
-    to_utm = Reprojection("EPSG:4326", made.UTM.crs)
     middle = (made.OFFSET + made.UTM.offset)[:2]
     for line in lines:
         places = [[*place, 0] for place in line["geometry"]["coordinates"]]
-        away = to_utm.to_map(places)[:, :2] - middle
+        away = on_ground("EPSG:4326", made.UTM.crs, places)[:, :2] - middle
         assert abs(abs(away).max(axis=1) - made.HOUSE).max() < 0.9
 
 
@@ -125,14 +123,14 @@ def test_where_nothing_is_known(item_device, tmp_path):
     scene = made.scene(None)
     bounds = (80.0, -70.0, 120.0, -30.0)
     grid = map_grid(scene, 0.1, bounds)
-    write_map(run_of(tmp_path, scene), scene, grid, None, item_device, tmp_path, points=False)
+    write_map(run_of(tmp_path, scene), scene, grid, item_device, tmp_path, points=False)
     colours, heights = rasters(tmp_path)
     assert (colours[:70, :70, 3] == 0).all() and np.isnan(heights[:70, :70]).all()
     assert np.array_equal(np.isnan(heights), colours[..., 3] == 0)
     assert not (colours[..., :3][colours[..., 3] == 0]).any()
     alone = dataclasses.replace(scene, views=scene.views[:1])
     with pytest.raises(InputError, match="--bounds"):
-        write_map(run_of(tmp_path, alone), alone, grid, None, item_device, tmp_path / "one",
+        write_map(run_of(tmp_path, alone), alone, grid, item_device, tmp_path / "one",
                   points=False)
     assert not any((tmp_path / "one").iterdir())
 
@@ -143,7 +141,7 @@ def test_faint_ground_has_the_colour_of_the_training(item_device, tmp_path):
     scene, run = made.scene(None), run_of(tmp_path, made.scene(None))
     run.finished_model.opacity_logits[:] = -1.2
     grid = map_grid(scene, 0.1)
-    write_map(run, scene, grid, None, item_device, tmp_path, points=False, interval=0)
+    write_map(run, scene, grid, item_device, tmp_path, points=False, interval=0)
     ground = rasters(tmp_path)[0][15:40, 15:40].reshape(-1, 4)
     covered = ground[:, :3] / np.multiply(made.GROUND_RED, 255)
     assert (ground[:, 3] == 255).all() and 0.5 < covered.min() and covered.max() < 0.9
@@ -151,26 +149,7 @@ def test_faint_ground_has_the_colour_of_the_training(item_device, tmp_path):
     assert not (tmp_path / "contours.geojson").exists()
     run.finished_model.opacity_logits[:] = -3
     with pytest.raises(InputError, match="train longer"):
-        write_map(run, scene, grid, None, item_device, tmp_path / "fainter", points=False)
-
-
-@pytest.mark.slow
-def test_a_map_in_another_system_lies_at_the_same_places(item_device, tmp_path):
-    scene = made.scene()
-    wanted = "EPSG:25832"  # the neighbouring zone: turned by degrees against the scene's
-    other = reprojection_of(made.UTM.crs, wanted)
-    grid = map_grid(scene, 0.1, None, other)
-    write_map(run_of(tmp_path, scene), scene, grid, wanted, item_device, tmp_path, points=False)
-    colours = rasters(tmp_path)[0]
-    middle = made.OFFSET + made.UTM.offset
-    inside, outside = np.array([[2.7, 2.7, 0], [-2.7, 2.7, 0]]), np.array([[3.5, 2.7, 0.]])
-    for places, blue in ((inside, True), (outside, False)):
-        for column, row in np.floor(grid.pixels(other.to_map(middle + places))).astype(int):
-            assert (colours[row, column, 2] > colours[row, column, 0]) == blue
-    with pytest.raises(InputError, match="in metres"):
-        reprojection_of(made.UTM.crs, "EPSG:4326")
-    with pytest.raises(InputError, match="EPSG:nonsense"):
-        reprojection_of(made.UTM.crs, "EPSG:nonsense")
+        write_map(run, scene, grid, item_device, tmp_path / "fainter", points=False)
 
 
 @pytest.mark.slow
@@ -180,7 +159,7 @@ def test_the_surface_as_points(item_device, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "MOST_POINTS", 100_000)  # so that a coarser surface is taken
     scene = made.scene()
     grid = map_grid(scene, 0.02)
-    write_map(run_of(tmp_path, scene), scene, grid, made.UTM.crs, item_device, tmp_path)
+    write_map(run_of(tmp_path, scene), scene, grid, item_device, tmp_path)
     cloud = laspy.read(tmp_path / "surface.laz")
     assert cloud.header.parse_crs().to_epsg() == 32633 and 80_000 < len(cloud.points) <= 100_000
     left, bottom, right, top = grid.bounds

@@ -12,11 +12,11 @@ from click.testing import CliRunner
 from clsplat.cli.main import main
 from clsplat.evaluation.run import Run
 from clsplat.georeference import Residual
+from clsplat.io.georeference.crs import normal_crs
 from tests.apps.test_map import run_of
 from tests.data import ground_model as made
 
 COMPOUND = "EPSG:32633+5773"
-LOCAL = "+proj=tmerc +lat_0=51.4 +lon_0=13.6 +k=1 +x_0=10000 +y_0=5000 +ellps=GRS80 +units=m"
 MIDDLE = made.OFFSET + made.UTM.offset
 NEAR = tuple(str(side) for side in (MIDDLE[0] - 4, MIDDLE[1] - 4, MIDDLE[0] + 4, MIDDLE[1] + 4))
 REFUSED = [
@@ -30,10 +30,6 @@ REFUSED = [
     (["--bounds", "-1e300", "-1e300", "1e300", "1e300"], "pixels along a side"),
     pytest.param(["--bounds", "0", "0", "10", "10", "--resolution", "1"], "other --bounds",
                  marks=pytest.mark.slow),
-    (["--crs", "EPSG:4326"], "projected"),
-    (["--crs", "EPSG:2227"], "in metres"),
-    (["--crs", COMPOUND], "heights are not converted"),
-    (["--crs", "nonsense"], "not a coordinate reference system"),
     (["--fill", "51px"], "number of pixels"),
     pytest.param(["--contours", "1e-300", "--resolution", "1"], "larger interval",
                  marks=pytest.mark.slow),  # after drawing
@@ -63,7 +59,7 @@ def test_refused_in_one_line(mapped, words, message):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [
-    ["--crs", LOCAL], ["--fill", "50px"], ["--contours", "0"], ["--bounds", *NEAR],
+    ["--fill", "50px"], ["--contours", "0"], ["--bounds", *NEAR],
     ["--resolution", "20m"]], ids=" ".join)
 def test_drawn(mapped, words):
     size = [] if "--resolution" in words else ["--resolution", "0.5"]
@@ -81,16 +77,13 @@ def test_drawn(mapped, words):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wanted", [None, "EPSG:25833"])
-def test_a_scene_with_a_vertical_part(mapped, wanted):
-    from clsplat.io.georeference.crs import normal_crs
+def test_a_scene_with_a_vertical_part(mapped):
     place = dataclasses.replace(made.UTM, crs=normal_crs(COMPOUND))
-    folder, result = mapped(["--resolution", "0.5", "--no-points",
-                             *(["--crs", wanted] if wanted else [])], place)
+    folder, result = mapped(["--resolution", "0.5", "--no-points"], place)
     assert result.exit_code == 0 and "heights: EGM96 height" in result.output, result.output
     with rasterio.open(folder / "surface.tif") as file:
         assert file.tags()["VERTICAL_REFERENCE"] == "EGM96 height"
-        assert file.crs == rasterio.CRS.from_user_input(wanted or COMPOUND)
+        assert file.crs == rasterio.CRS.from_user_input(COMPOUND)
 
 
 @pytest.mark.slow

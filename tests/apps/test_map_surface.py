@@ -14,7 +14,7 @@ from clsplat.apps.geotiff import Raster, check_crs
 from clsplat.apps.map import write_map
 from clsplat.apps.map_grid import TILE, MapGrid, map_grid
 from clsplat.gaussians import Gaussians
-from clsplat.io.georeference.crs import map_crs
+from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.models.points import write_points
 from clsplat.options import TrainOptions
 from tests.apps.test_map import drawn, rasters, run_of
@@ -62,7 +62,7 @@ CODELESS = {
 def test_a_crs_without_a_code_is_read_back_equal(tmp_path, text):
     """By GDAL from the GeoTIFF, and by laspy from the LAZ."""
     laspy = pytest.importorskip("laspy", reason="laspy is not installed (extra geo)")
-    crs = map_crs(text)
+    crs = scene_crs(text)
     check_crs(crs)
     grid = MapGrid(np.eye(3), np.zeros(3), 5e5, 5.7e6, 1.0, 8, 4, 9.0)
     raster = Raster(tmp_path / "raw", grid, crs, {"height": "metre", "spread": "metre"}, False)
@@ -102,7 +102,7 @@ def test_a_pit_is_left_out_and_a_true_hole_stays(item_device, tmp_path):
     grid = dataclasses.replace(map_grid(scene, 0.1), floor=-np.inf)  # the local rule alone
     run = SimpleNamespace(path=tmp_path, finished_model=model, options=TrainOptions(),
                           georeference=None)
-    record = write_map(run, scene, grid, None, item_device, tmp_path, points=False, interval=0)
+    record = write_map(run, scene, grid, item_device, tmp_path, points=False, interval=0)
     colours, heights = rasters(tmp_path)
 
     def at(x, y):
@@ -121,7 +121,7 @@ def test_below_all_points_nothing_is_known(item_device, tmp_path):
     model = run.finished_model
     gone = (model.positions[:, :2] > 5).all(axis=1)
     model.positions[gone, 2] = -40
-    write_map(run, scene, map_grid(scene, 0.1), None, item_device, tmp_path, points=False)
+    write_map(run, scene, map_grid(scene, 0.1), item_device, tmp_path, points=False)
     heights = rasters(tmp_path)[1]
     assert np.nanmin(heights) > 6.5 and np.isnan(heights[20:50, -50:-20]).all()
 
@@ -135,7 +135,7 @@ def test_small_holes_are_filled_on_request(item_device, tmp_path):
     model.opacity_logits[(abs(x + 8) < 2.6) & (abs(y) < 2.6)] = -9
     found = []
     for fill in (0, 12):
-        record = write_map(run, scene, grid, None, item_device, tmp_path, points=False, fill=fill)
+        record = write_map(run, scene, grid, item_device, tmp_path, points=False, fill=fill)
         found.append((record, *rasters(tmp_path)))
     (before, _, holes), (after, colours, heights) = found
     small, large = (np.floor(grid.pixels(made.OFFSET[None] + (x, 0, 0))).astype(int)[0][::-1]
@@ -152,7 +152,7 @@ def test_the_extent_is_that_of_all_that_is_covered(item_device, tmp_path):
     scene = made.scene(None)
     kept = scene.points[:, 0] < 3
     half = dataclasses.replace(scene, points=scene.points[kept], colours=scene.colours[kept])
-    record = write_map(run_of(tmp_path, half), half, map_grid(half, 0.1), None, item_device,
+    record = write_map(run_of(tmp_path, half), half, map_grid(half, 0.1), item_device,
                        tmp_path, points=False, follow=True)
     left, bottom, right, top = record["bounds"]
     middle = made.OFFSET[:2]

@@ -145,7 +145,7 @@ def outcome(mistake: str, seed: int) -> Outcome:
                           **({"independent_heights": len(measured)} if is_control else {}))
     except Implausible as error:
         return Outcome("refused", False, str(error))
-    said = doubts(result, positions, vertical, "the flight", is_control)
+    said = doubts(result, positions, vertical, "the flight", heights_count=is_control)
     return Outcome("warned" if said else "believed",
                    _is_right(result, turn, scale, places(true), origin + true), "; ".join(said))
 

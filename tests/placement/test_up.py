@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clsplat.placement.up import gimbal_up, up_axis
+from clsplat.placement.up import Vertical, gimbal_up
 from tests.data.fields import field
 
 
@@ -13,7 +13,7 @@ def test_up_does_not_depend_on_points_far_away():
     rolled = Rotation.random(60, random_state=1).as_matrix()  # cameras that do not show up
     rolled[:, 2] = [0, 0, -1] + 0.01 * rng.normal(size=(60, 3))  # except by their viewing direction
     points = np.concatenate([field().points, [0, 300, 200] + rng.normal(0, 5, (100, 3))])
-    assert up_axis(rolled, points)[2] > 0.999
+    assert Vertical.by_cameras(rolled, points).up[2] > 0.999
 
 
 def looking(directions, ups):
@@ -37,8 +37,8 @@ def test_up_turns_with_the_scene():
     turn = Rotation.random(random_state=3).as_matrix()
     scene = field()
     rotations, points = street(1), scene.points
-    assert np.allclose(up_axis(rotations @ turn.T, points @ turn.T),
-                       turn @ up_axis(rotations, points), atol=1e-6)
+    assert np.allclose(Vertical.by_cameras(rotations @ turn.T, points @ turn.T).up,
+                       turn @ Vertical.by_cameras(rotations, points).up, atol=1e-6)
 
 
 @pytest.mark.parametrize("pitch, roll", [(-90, 0), (-60, 0), (0, 0), (-45, 20), (10, -5)])

@@ -1,6 +1,2 @@
 """Where a scene lies on the earth: coordinate reference systems (CRS), the placing of
-reconstructions by GPS and ground control points, and their files.
-
-`crs.py` alone imports pyproj. The mathematics, which needs no library and no file, is in
-`clsplat/placement/`.
-"""
+reconstructions by GPS and ground control points, and their files."""

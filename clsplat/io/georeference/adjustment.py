@@ -21,10 +21,10 @@ from clsplat.errors import InputError
 from clsplat.georeference import CHECK, CONTROL, LEFT_OUT, Residual
 from clsplat.io.georeference.control_points import ControlPoint
 from clsplat.placement.alignment import LEAST_POSITIONS
-from clsplat.placement.control_points import intersection, miss_angles
 
 MARK_TOLERANCE = 20.0  # pixels by which a mark may miss the point that the others show
 ADJUSTED_TOLERANCE = 8.0  # pixels, RMS of the marks of a point to which the bundle is adjusted
+LEAST_ANGLE = np.radians(1.0)  # between rays; from closer ones the distance is not known
 
 
 class NotGeoreferenced(InputError):
@@ -46,7 +46,6 @@ class Located:
 
     Attributes
     ----------
-    point : as it was read.
     marks : (id of a pycolmap.Image, x, y), those that agree with each other.
     place : float64[3], where the rays of the marks meet, in the reconstruction.
     """
@@ -74,18 +73,13 @@ def check_marks(control: Iterable[ControlPoint], photos: Collection[str]) -> Non
 
 
 def locate(reconstruction: Any, control: Iterable[ControlPoint]) -> tuple[list[Located], list[str]]:
-    """Locate ground control points by their marks, which `check_marks` has passed.
-
-    Returns
-    -------
-    The points that two or more marks locate, and the names of the others.
-    """
+    """Locate ground control points by their marks, which `check_marks` has passed: the points that
+    two or more marks locate, and the names of the others."""
     named = {image.name: image for image in reconstruction.images.values() if image.has_pose}
-    short = {name.rpartition("/")[2]: name for name in named}
+    named = {name.rpartition("/")[2]: image for name, image in named.items()} | named
     located, lost = [], []
     for point in control:
-        marks = [(named[name if name in named else short[name]], x, y)
-                 for name, x, y in point.marks if name in named or name in short]
+        marks = [(named[name], x, y) for name, x, y in point.marks if name in named]
         found = _located(reconstruction, point, marks, MARK_TOLERANCE)
         if found is None:
             lost.append(point.name)
@@ -109,14 +103,43 @@ def _located(reconstruction: Any, point: ControlPoint, marks: Sequence[tuple[Any
         kept.append((image.image_id, x, y))
     if len(origins) < 2:
         return None
-    tolerance = tolerance_pixels * max(radians)
-    found = intersection(np.array(origins), np.array(directions), tolerance)
-    if found is None:
-        return None
-    place, used = found
-    if miss_angles(place, np.array(origins), np.array(directions))[used].max() > tolerance:
-        return None
-    return Located(point, tuple(mark for mark, right in zip(kept, used) if right), place)
+    found = intersection(np.array(origins), np.array(directions), tolerance_pixels * max(radians))
+    return found and Located(
+        point, tuple(mark for mark, right in zip(kept, found[1]) if right), found[0])
+
+
+def intersection(origins: NDArray[np.float64], directions: NDArray[np.float64],
+                 tolerance: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]] | None:
+    """The point nearest to most of several rays.
+
+    Parameters
+    ----------
+    origins, directions : [K, 3]; camera centres, and unit vectors.
+    tolerance : radians, by which a ray may miss the point; rays that miss it by more are left out,
+        the worst first.
+
+    Returns
+    -------
+    The point [3], and which rays it comes from as bool[K]; None if there are not two rays from
+    sufficiently different directions that meet, or the point is behind a camera.
+    """
+    used: NDArray[np.bool_] = np.all(np.isfinite(directions), axis=1)
+    while used.sum() >= 2:
+        projectors = np.eye(3) - directions[used, :, None] * directions[used, None, :]
+        matrix = projectors.sum(axis=0)
+        # for two rays with an angle a between them, the least eigenvalue is 1 - cos a
+        if np.linalg.eigvalsh(matrix)[0] < 1 - np.cos(LEAST_ANGLE):
+            return None
+        point: NDArray[np.float64] = np.linalg.solve(
+            matrix, np.einsum("kij,kj->i", projectors, origins[used]))
+        towards = point - origins
+        misses = np.arctan2(np.linalg.norm(np.cross(towards, directions), axis=1),
+                            (towards * directions).sum(axis=1))
+        worst = int(np.argmax(np.where(used, misses, -1.0)))
+        if misses[worst] <= tolerance:
+            return (point, used) if misses[worst] < np.pi / 2 else None
+        used[worst] = False
+    return None
 
 
 def adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.float64],
@@ -133,24 +156,20 @@ def adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.f
 
     Returns
     -------
-    The control points that were used; the others are wrong.
-
-    Raises
-    ------
-    NotGeoreferenced : fewer than three of the points agree with the photos.
+    The control points that were used; the others are wrong. NotGeoreferenced if fewer than three
+    of them agree with the photos.
     """
     used = list(located)
-    while True:
-        if len(used) < LEAST_POSITIONS:
-            raise NotGeoreferenced(
-                f"--gcp: fewer than {LEAST_POSITIONS} ground control points agree with the photos; "
-                "check coordinates, their order (X is east), the CRS and the marks")
+    while len(used) >= LEAST_POSITIONS:
         _adjust(reconstruction, used, offset, keep_focal)
-        misses = [mark_error(reconstruction, item, offset) for item in used]
+        misses = [_mark_error(reconstruction, item, offset) for item in used]
         worst = int(np.argmax(misses))
         if misses[worst] <= ADJUSTED_TOLERANCE:
             return used
         del used[worst]
+    raise NotGeoreferenced(
+        f"--gcp: fewer than {LEAST_POSITIONS} ground control points agree with the photos; "
+        "check coordinates, their order (X is east), the CRS and the marks")
 
 
 def _adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.float64],
@@ -179,7 +198,7 @@ def _adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.
     reconstruction.update_point_3d_errors()
 
 
-def mark_error(reconstruction: Any, item: Located, offset: NDArray[np.float64]) -> float:
+def _mark_error(reconstruction: Any, item: Located, offset: NDArray[np.float64]) -> float:
     """RMS distance of the marks of a control point from its known place, pixels."""
     place = np.array(item.point.position) - offset
     errors = []
@@ -202,11 +221,9 @@ def residuals(reconstruction: Any, located: Iterable[Located], used: Iterable[Lo
         point = item.point
         marks = [(reconstruction.images[number], x, y) for number, x, y in item.marks]
         found = _located(reconstruction, point, marks, np.inf)
-        if found is None:
-            continue
-        miss = found.place + offset - point.position
-        role = CHECK if point.is_check else CONTROL if point.name in names else LEFT_OUT
-        east, north, up = np.round(miss, 4).tolist()
-        pixels = round(mark_error(reconstruction, item, offset), 2)
-        result.append(Residual(point.name, role, east, north, up, pixels))
+        if found is not None:
+            role = CHECK if point.is_check else CONTROL if point.name in names else LEFT_OUT
+            east, north, up = np.round(found.place + offset - point.position, 4).tolist()
+            pixels = round(_mark_error(reconstruction, item, offset), 2)
+            result.append(Residual(point.name, role, east, north, up, pixels))
     return tuple(result)

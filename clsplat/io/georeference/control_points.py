@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.io.georeference.crs import (
     WGS84,
-    converted_heights,
     has_metres,
     heights_of,
     horizontal,
@@ -60,11 +60,10 @@ class ControlPoint:
 
 @dataclass(frozen=True)
 class ControlPoints:
-    """The ground control points of a file.
+    """The ground control points of a file, in its order.
 
     Attributes
     ----------
-    points : in the order of the file.
     crs : of their coordinates.
     vertical : what their heights count from, a phrase; "" if the file does not state it.
     notes : how heights were understood, lines for the user.
@@ -76,21 +75,23 @@ class ControlPoints:
     notes: tuple[str, ...] = ()
 
 
-def read_control_points(path: str | Path, crs: str | None = None, checks: Collection[str] = ()
-                        ) -> ControlPoints:
-    """Read ground control points.
+def read_control_points(path: str | Path | None, crs: str | None = None,
+                        checks: Collection[str] = ()) -> ControlPoints:
+    """Read ground control points; InputError if the file cannot be read, is not of this format, or
+    lacks a check point.
 
     Parameters
     ----------
-    path : of the file.
+    path : of the file; None: there is none, and check points are an InputError.
     crs : as `crs.scene_crs` returns it, into which coordinates are converted. None: the
         file's, or the UTM zone if those are degrees.
     checks : names of those that are check points.
-
-    Raises
-    ------
-    InputError : the file cannot be read, is not of this format, or lacks a check point.
     """
+    if path is None:
+        if checks:
+            raise InputError("--check-point: names a ground control point; give their file with "
+                             "--gcp")
+        return ControlPoints(crs=crs or "")
     path = Path(path)
     try:
         text = read_regular(path).decode("utf-8-sig")
@@ -109,18 +110,17 @@ def read_control_points(path: str | Path, crs: str | None = None, checks: Collec
     points: dict[tuple[str, float, float, float], list[tuple[str, float, float]]] = {}
     for name, x, y, z, pixel_x, pixel_y, image in _rows(path, lines):
         points.setdefault((name, x, y, z), []).append((image, pixel_x, pixel_y))
-    _check_names(path, [key for key in points if key[0]])
     if not points:
         raise InputError(f"{path}: has no ground control points; {CURE}")
+    _check_names(path, [key for key in points if key[0]])
     places, target, vertical, notes = _in_metres(
         path, np.array([key[1:] for key in points]), own, crs)
-    lost = [key for key, place in zip(points, places) if not np.isfinite(place).all()]
-    if lost:
-        name, *place = lost[0]
-        raise InputError(f"{path}: point {name or ' '.join(f'{value:g}' for value in place)} has "
-                         f"no coordinates in {target[:60]}; correct it, or the coordinate "
-                         "reference system in the first line")
     names = [key[0] or f"point {number}" for number, key in enumerate(points, 1)]
+    for name, place in zip(names, places):
+        if not np.isfinite(place).all():
+            raise InputError(f"{path}: point {name.removeprefix('point ')} has no "
+                             f"coordinates in {target[:60]}; correct it, or the coordinate "
+                             "reference system in the first line")
     for name in checks:
         if name not in names:
             raise InputError(f"--check-point {name}: {path} has no point of this name; it has "
@@ -131,21 +131,14 @@ def read_control_points(path: str | Path, crs: str | None = None, checks: Collec
         target, vertical, notes)
 
 
-def require_no_checks(checks: Collection[str]) -> None:
-    """InputError if check points are named where there is no file of control points."""
-    if checks:
-        raise InputError("--check-point: names a ground control point; give their file with --gcp")
-
-
 def _check_names(path: Path, points: Sequence[tuple[str, float, float, float]]) -> None:
     """InputError if one name has several coordinates, of which all but one are wrong."""
-    places: dict[str, tuple[float, ...]] = {}
+    places: dict[str, str] = {}
     for name, *place in points:
-        if places.setdefault(name, tuple(place)) != tuple(place):
-            raise InputError(f"{path}: point {name} has several coordinates, "
-                             f"{' '.join(f'{value:.10g}' for value in places[name])} and "
-                             f"{' '.join(f'{value:.10g}' for value in place)}; correct one, or "
-                             "rename it")
+        words = " ".join(f"{value:.10g}" for value in place)
+        if places.setdefault(name, words) != words:
+            raise InputError(f"{path}: point {name} has several coordinates, {places[name]} and "
+                             f"{words}; correct one, or rename it")
 
 
 def _cells(line: str) -> list[str]:
@@ -188,9 +181,13 @@ def _rows(path: Path, lines: Sequence[tuple[int, str]]
         yield clean(cells.get("name", "")), *values, clean(cells["image"])  # type: ignore[misc]
 
 
-def _in_metres(path: Path, places: np.ndarray, own: str, crs: str | None
-               ) -> tuple[np.ndarray, str, str, tuple[str, ...]]:
-    """Coordinates in `crs`, or else in metres, their CRS, what heights count from, and notes."""
+def _in_metres(path: Path, places: NDArray[np.float64], own: str, crs: str | None
+               ) -> tuple[NDArray[np.float64], str, str, tuple[str, ...]]:
+    """Coordinates in `crs`, or else in metres, their CRS, what heights count from, and notes.
+
+    Heights become metres, and keep what they count from: a CRS with another vertical part is
+    replaced by its horizontal one.
+    """
     heights, flat = heights_of(own), horizontal(own)
     notes = []
     metres = places * (1, 1, heights.metres)
@@ -198,16 +195,12 @@ def _in_metres(path: Path, places: np.ndarray, own: str, crs: str | None
         notes.append(f"heights of {path} are taken as {heights.unit}, "
                      f"{'of ' + heights.name if heights.name else 'the unit of its x and y'}")
     if crs is not None and heights_of(crs).name not in ("", heights.name):
-        if heights.name:
-            metres[:, 2] = converted_heights(own, crs, places, str(path))
-            heights = heights_of(crs)
-        else:
-            notes.append(f"heights of {path} have no vertical CRS, so they are not labelled as "
-                         f"{heights_of(crs).name}; write a compound CRS into its first line")
-            crs = horizontal(crs)
+        notes.append(f"heights of {path} count from {heights.name or 'what it does not state'}, so "
+                     f"they are not labelled as {heights_of(crs).name}; heights are not converted")
+        crs = horizontal(crs)
     if crs is None and not has_metres(own, str(path)):
         degrees = on_ground(flat, WGS84, metres)
-        return *map_positions(degrees[:, 1], degrees[:, 0], degrees[:, 2]), heights.name, (*notes,)
+        return *map_positions(degrees[:, 1::-1], degrees[:, 2]), heights.name, (*notes,)
     # compound only if heights are in that unit
     target = crs or (own if heights.metres == 1 else flat)
     return on_ground(flat, horizontal(target), metres), target, heights.name, (*notes,)

@@ -8,9 +8,8 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,15 +20,13 @@ from clsplat.io.reason import clean, reason
 # of WGS 84: latitude and longitude; the same with heights; x, y and z in metres
 WGS84, GEODETIC, GEOCENTRIC = "EPSG:4326", "EPSG:4979", "EPSG:4978"
 UTM_EPSG = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
-UTM_WORDS = re.compile(r"(?:WGS ?84)?[ /]*UTM (?:zone )?(0?[1-9]|[1-5]\d|60) ?([NS])",
-                       re.IGNORECASE)
-UTM_BAND = re.compile(r"(?:WGS ?84)?[ /]*UTM (?:zone )?(\d+) ?([C-HJ-MP-X])", re.IGNORECASE)
+UTM_WORDS = re.compile(r"(?:WGS ?84)?[ /]*UTM (?:zone )?(0?[1-9]|[1-5]\d|60) ?([C-HJ-NP-X])",
+                       re.IGNORECASE)  # N and S are hemispheres, all other letters bands
 MARGIN = 5.0  # degrees around the area of use of a CRS, in which maps still use it
 LOCAL = ("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")  # how the WKT of local coordinates begins
 WEB_MERCATOR = "1024"  # EPSG's code of its projection
 SHOWN = 60  # characters of a CRS in a message
 LONGEST_DEFINITION = 20_000  # characters of a CRS
-EXAMPLE = "give one such as EPSG:32632, which is UTM zone 32 north"
 
 Conversion = Callable[[ArrayLike], NDArray[np.float64]]
 
@@ -41,19 +38,14 @@ def normal_crs(text: str, name: str = "--crs") -> str:
     ----------
     text : such as "EPSG:25832", "WGS84 UTM 32N", a PROJ string or WKT.
     name : of the option or file that it comes from, for messages.
-
-    Raises
-    ------
-    InputError : it is no CRS.
     """
     text = " ".join(text.split())
     words = UTM_WORDS.fullmatch(text)
+    if words and words[2] not in "nNsS":
+        raise InputError(f"{name} {_shown(text)}: {words[2]} is a latitude band; write N or S, for "
+                         f"the northern or the southern hemisphere, such as WGS84 UTM {words[1]}N")
     if words:
         return f"EPSG:32{'6' if words[2] in 'nN' else '7'}{int(words[1]):02d}"
-    band = UTM_BAND.fullmatch(text)
-    if band:
-        raise InputError(f"{name} {_shown(text)}: {band[2]} is a latitude band; write N or S, for "
-                         f"the northern or the southern hemisphere, such as WGS84 UTM {band[1]}N")
     system = pyproj_crs(text, name)
     code = system.to_authority(min_confidence=70)
     return ":".join(code) if code else " ".join(system.to_wkt().split())
@@ -61,32 +53,26 @@ def normal_crs(text: str, name: str = "--crs") -> str:
 
 def has_metres(crs: str, name: str = "--crs") -> bool:
     """Whether a CRS, as `normal_crs` returns it, is projected, with metres of the ground to the
-    east and north."""
-    return is_projected(crs, name) and not _is_web_mercator(pyproj_crs(crs, name))
+    east and north, in whatever order."""
+    return _has_metres(pyproj_crs(crs, name))
 
 
-def is_projected(crs: str, name: str = "--crs") -> bool:
-    """As `has_metres`, but the metres may be those of Web Mercator, which grow towards the poles.
-    """
-    return _is_metric(pyproj_crs(crs, name))
-
-
-def map_crs(text: str) -> str:
-    """`normal_crs` of the option --crs; InputError unless it is projected, with metres to the east
-    and north."""
-    crs = normal_crs(text)
-    if not is_projected(crs):
-        raise InputError(f"--crs {_shown(text)}: is not a projected coordinate reference system in "
-                         f"metres to the east and north, which is needed; {EXAMPLE}")
-    return crs
+def _has_metres(system: Any) -> bool:
+    axes = {(axis.direction, axis.unit_conversion_factor) for axis in system.axis_info[:2]}
+    if not system.is_projected or axes != {("east", 1.0), ("north", 1.0)}:
+        return False  # pyproj's `always_xy` brings others to east, north, but not west to east
+    operation = (system.sub_crs_list[0] if system.is_compound else system).coordinate_operation
+    return operation is None or operation.method_code != WEB_MERCATOR
 
 
 def scene_crs(text: str) -> str:
-    """As `map_crs`, for a scene, in which distances are those of the ground."""
-    crs = map_crs(text)
+    """`normal_crs` of the option --crs; InputError unless it is projected, with metres of the
+    ground to the east and north."""
+    crs = normal_crs(text)
     if not has_metres(crs):
-        raise InputError(f"--crs {_shown(text)}: is Web Mercator, whose metres are not those of "
-                         f"the ground; {EXAMPLE}")
+        raise InputError(f"--crs {_shown(text)}: is not a projected coordinate reference system in "
+                         "metres of the ground (as Web Mercator's are not); give one such as "
+                         "EPSG:32632, which is UTM zone 32 north")
     return crs
 
 
@@ -106,8 +92,7 @@ def project_crs(definition: str, north_first: bool = False) -> str:
     try:
         crs = pyproj.CRS.from_user_input(definition)
         crs = crs.sub_crs_list[0] if crs.is_compound else crs
-        if not _is_metric(crs) or _is_web_mercator(crs) or not (
-                north_first or crs.axis_info[0].direction == "east"):
+        if not _has_metres(crs) or not (north_first or crs.axis_info[0].direction == "east"):
             return ""
         authority = crs.to_authority()
         return ":".join(authority) if authority else str(crs.to_wkt("WKT2_2019"))
@@ -135,10 +120,6 @@ def converter(source: str, target: str, why: str = "CRS") -> Conversion:
     source, target : as pyproj accepts them, such as "EPSG:32614". Heights are above the ellipsoid
         where a CRS has none of its own.
     why : what needs it, for messages.
-
-    Raises
-    ------
-    InputError : a CRS is unknown.
     """
     pyproj = _pyproj()
     try:
@@ -173,17 +154,8 @@ def conversion(source: str, target: str, why: str) -> Conversion:
 
 
 def on_ground(source: str, target: str, points: ArrayLike) -> NDArray[np.float64]:
-    """Points of one CRS in another one, whose heights stay as they are.
-
-    Parameters
-    ----------
-    source, target : such as "EPSG:4326".
-    points : float[N, 3]: east or longitude, north or latitude, height.
-
-    Returns
-    -------
-    float64[N, 3], in the same order; east and north are nan for what the target cannot represent.
-    """
+    """Points float[N, 3] of one CRS in another one, east or longitude first, whose heights stay as
+    they are; nan for what the target cannot represent."""
     result = np.array(points, np.float64).reshape(-1, 3)
     if source != target:
         result[:, :2] = converter(source, target, f"CRS {_shown(target)}")(result[:, :2])
@@ -194,41 +166,28 @@ def cloud_on_map(system: Any, target: str, points: NDArray[np.float64], path: Pa
                  ) -> NDArray[np.float64] | None:
     """Points of a file in the CRS of a scene; None if they are in it already.
 
-    Heights become metres, above whatever they were measured from.
-
     Parameters
     ----------
     system : the pyproj.CRS of the file.
     target : as `normal_crs` returns it.
-    points : float64[N, 3]: east or longitude, north or latitude, height.
+    points : float64[N, 3], east or longitude first; heights become metres, above whatever they were
+        measured from.
     path : the file that messages name.
-
-    Raises
-    ------
-    InputError : a point has no coordinates in the target.
     """
     flat, unit = _flat(system), _heights(system).metres
-    own = _flat(pyproj_crs(target, "the scene"))
-    if unit == 1 and flat.equals(own, ignore_axis_order=True):
+    if unit == 1 and flat.equals(_flat(pyproj_crs(target, "the scene")), ignore_axis_order=True):
         return None
     convert = conversion(flat.to_wkt(), target, f"{path}: CRS")
     return np.column_stack([convert(points[:, :2]), unit * points[:, 2]])
 
 
 def outside(crs: str, points: ArrayLike) -> str:
-    """Where the middle of map coordinates lies, if it is outside the area in which a CRS is used;
-    "" if it is inside, or if the CRS has no such area.
-
-    Parameters
-    ----------
-    crs : projected, as `normal_crs` returns it.
-    points : float[N, 2] or float[N, 3], map coordinates.
-    """
+    """Where the middle of map coordinates [N, 2 or 3] lies, if it is outside the area in which a
+    projected CRS is used; "" if it is inside, or if the CRS has no such area."""
     east, north = np.median(np.asarray(points, np.float64)[:, :2], axis=0)
     where = f"at east {east:.0f}, north {north:.0f}"
-    system = pyproj_crs(crs, "CRS")
     ((longitude, latitude),) = converter(horizontal(crs), WGS84)([(east, north)])
-    area = system.area_of_use
+    area = pyproj_crs(crs, "CRS").area_of_use
     if not np.isfinite(latitude):
         return where
     if area is None:
@@ -251,17 +210,10 @@ def _flat(system: Any) -> Any:
     return system.sub_crs_list[0] if system.is_compound else system.to_2d()
 
 
-@dataclass(frozen=True)
-class Heights:
-    """What the third coordinates of a CRS are.
-
-    Attributes
-    ----------
-    name : of the vertical CRS, "" if the CRS has no vertical part.
-    metres : in their unit, which is that of x and y if there is no vertical part, and the metre
-        with degrees.
-    unit : its name.
-    """
+class Heights(NamedTuple):
+    """What the third coordinates of a CRS are: the name of its vertical part, "" if it has none;
+    the metres of their unit, which is that of x and y without a vertical part, and the metre with
+    degrees; and the name of the unit."""
 
     name: str
     metres: float
@@ -284,53 +236,6 @@ def _heights(system: Any) -> Heights:
     return Heights("", axes[0].unit_conversion_factor, axes[0].unit_name)
 
 
-def converted_heights(source: str, target: str, points: ArrayLike, why: str
-                      ) -> NDArray[np.float64]:
-    """Heights float64[N] of points of one CRS in the vertical part of another one.
-
-    Parameters
-    ----------
-    source, target : with vertical parts.
-    points : float[N, 3], in `source`, east or longitude first.
-    why : what needs it, for messages.
-
-    Raises
-    ------
-    InputError : PROJ has no transformation, or not the grid of the geoid that it needs.
-    """
-    pyproj = _pyproj()
-    systems = [pyproj_crs(crs, why) for crs in (source, target)]
-    try:
-        heights = pyproj.Transformer.from_crs(
-            *systems, always_xy=True, allow_ballpark=False, only_best=True
-        ).transform(*np.asarray(points, np.float64).T)[2]
-    except pyproj.exceptions.ProjError:
-        heights = np.array([np.nan])
-    result: NDArray[np.float64] = np.asarray(heights, np.float64)
-    if not np.isfinite(result).all():
-        raise InputError(f"{why}: heights in {_shown(heights_of(source).name)} cannot be converted "
-                         f"to {_shown(heights_of(target).name)}, since PROJ lacks the geoid's grid "
-                         "here; give the scene a CRS with the same vertical part, or with none")
-    return result
-
-
-def _is_metric(system: Any) -> bool:
-    """Whether a CRS is projected, with metres to the east and north, in whatever order: pyproj's
-    `always_xy` brings them to east, north, but not west to east."""
-    axes = {(axis.direction, axis.unit_conversion_factor) for axis in system.axis_info[:2]}
-    return bool(system.is_projected) and axes == {("east", 1.0), ("north", 1.0)}
-
-
-def _is_web_mercator(system: Any) -> bool:
-    """Whether a projected CRS is that of maps in the web, such as EPSG:3857."""
-    operation = (system.sub_crs_list[0] if system.is_compound else system).coordinate_operation
-    return operation is not None and operation.method_code == WEB_MERCATOR
-
-
-def _shown(crs: str) -> str:
-    return clean(crs)[:SHOWN]
-
-
 def pyproj_crs(text: str, name: str) -> Any:
     """The pyproj.CRS of a text; InputError, with this name of the option or file, if there is none.
     """
@@ -340,6 +245,10 @@ def pyproj_crs(text: str, name: str) -> Any:
     except pyproj.exceptions.CRSError:
         raise InputError(f"{name} {_shown(text)}: is not a coordinate reference system; give one "
                          "such as EPSG:25832") from None
+
+
+def _shown(crs: str) -> str:
+    return clean(crs)[:SHOWN]
 
 
 def _pyproj() -> Any:

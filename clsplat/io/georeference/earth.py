@@ -7,8 +7,6 @@ similarity at the middle of its cameras, and what it misses is stated as the res
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,13 +24,13 @@ from clsplat.placement.similarity import Similarity
 STEP = 50.0  # metres, over which the map is differentiated
 
 
-def map_positions(latitudes: ArrayLike, longitudes: ArrayLike, heights: ArrayLike,
-                  crs: str | None = None) -> tuple[NDArray[np.float64], str]:
+def map_positions(degrees: ArrayLike, heights: ArrayLike, crs: str | None = None
+                  ) -> tuple[NDArray[np.float64], str]:
     """Map coordinates of places.
 
     Parameters
     ----------
-    latitudes, longitudes : float[N], degrees, WGS 84; at least one place.
+    degrees : float[N, 2], latitudes and longitudes, WGS 84; at least one place.
     heights : float[N], metres, which are not changed.
     crs : as `normal_crs` returns it; None: the UTM zone of the places.
 
@@ -41,7 +39,7 @@ def map_positions(latitudes: ArrayLike, longitudes: ArrayLike, heights: ArrayLik
     float64[N, 3], east, north and height, nan for places that the CRS cannot represent; and that
     CRS.
     """
-    places = np.column_stack([longitudes, latitudes, heights]).astype(np.float64)
+    places = np.column_stack([np.asarray(degrees)[:, ::-1], heights]).astype(np.float64)
     valid = (np.abs(places[:, :2]) <= (180, 90)).all(axis=1)
     result = np.full_like(places, np.nan)
     if not valid.any():
@@ -93,26 +91,18 @@ def on_map(to_earth: Similarity, centres: NDArray[np.float64], crs: str, source:
     def to_map(points: NDArray[np.float64]) -> NDArray[np.float64]:
         return projected(geodetic(to_earth(points)))
 
-    scale, rotation = _derivative(to_map, middle, STEP / to_earth.scale)
+    steps = STEP / to_earth.scale * np.eye(3)
+    columns = (to_map(middle + steps) - to_map(middle - steps)) * to_earth.scale / (2 * STEP)
     exact, (centre,) = to_map(centres), to_map(middle[None])
-    if not (np.isfinite(exact).all() and np.isfinite(centre).all()):
+    if not (np.isfinite(exact).all() and np.isfinite(centre).all() and np.isfinite(columns).all()):
         raise ValueError(f"its cameras are outside of {crs[:80]}")
+    left, sizes, right = np.linalg.svd(columns.T)
+    scale, rotation = float(sizes.mean()), left @ right
+    if np.linalg.det(rotation) < 0:
+        raise ValueError("its coordinates are mirrored")
     offset = np.round(centre)
     similarity = Similarity(scale, rotation, centre - offset - scale * rotation @ middle)
     missed = similarity(centres) + offset - exact
     residual = float(np.sqrt((missed**2).sum(axis=1).mean()))
     east, north, height = offset.tolist()
     return similarity, Georeference(crs, (east, north, height), source, residual)
-
-
-def _derivative(function: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-                place: NDArray[np.float64], step: float) -> tuple[float, NDArray[np.float64]]:
-    """The scale and the rotation float64[3, 3] nearest to a function's derivative at a place."""
-    steps = step * np.eye(3)
-    columns = (function(place + steps) - function(place - steps)) / (2 * step)
-    if not np.isfinite(columns).all():
-        raise ValueError("its cameras are outside of the map")
-    left, sizes, right = np.linalg.svd(columns.T)
-    if np.linalg.det(left @ right) < 0:
-        raise ValueError("its coordinates are mirrored")
-    return float(sizes.mean()), left @ right

@@ -1,14 +1,15 @@
 """The place and the orientation of a scene on disk, in the folder of a scene or of a run.
 
 georeference.json has the attributes of `Georeference`, and for other programs what follows from its
-residuals (`georeference_record`). orientation.json has `up`, a unit vector,
-and in a run folder `first_view`, a camera; both are in original coordinates.
+residuals. orientation.json has `up`, a unit vector, and in a run folder `first_view`, a camera;
+both are in original coordinates.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -43,13 +44,9 @@ def write_georeference(folder: str | Path, georeference: Georeference | None) ->
 
 def read_georeference(folder: str | Path) -> Georeference | None:
     """Read georeference.json of a folder; None if it has none, InputError if it is damaged."""
-    path = Path(folder) / GEOREFERENCE
-    record = _read(path)
-    try:
+    with _damage(Path(folder) / GEOREFERENCE) as path:
+        record = _object(path)
         return None if record is None else georeference_of(record)
-    except ValueError as error:
-        raise InputError(f"{path}: damaged ({error}); georeference the scene again, or remove the "
-                         "file") from None
 
 
 def georeference_record(known: Georeference) -> dict[str, Any]:
@@ -64,41 +61,34 @@ def georeference_record(known: Georeference) -> dict[str, Any]:
 def georeference_of(record: dict[str, Any]) -> Georeference:
     """The georeference of a record of JSON; ValueError names the fault. Records of older
     versions lack most keys."""
-    crs = record.get("crs")
-    if not (isinstance(crs, str) and 0 < len(crs.strip()) <= LONGEST_CRS and crs.isprintable()):
+    crs = _text(record.get("crs"), "crs")
+    if not (crs.strip() and crs.isprintable()):
         raise ValueError("crs is not a line of text")
     east, north, height = numbers(record.get("offset"), 3, "offset").tolist()
-    rows, warnings = tables(record.get("residuals", []), "residuals"), record.get("warnings", [])
-    if not (isinstance(warnings, list) and all(map(_is_text, warnings))):
+    warnings = record.get("warnings", [])
+    if not isinstance(warnings, list):
         raise ValueError("warnings are not a list of texts")
-    source, kind, vertical = (_text(record, key) for key in ("source", "kind", "vertical"))
-    residual, size = (_distance(record, key) for key in ("residual", "size"))
-    return Georeference(crs, (east, north, height), source, residual, kind, size, vertical,
-                        tuple(map(_residual, rows)), tuple(warnings))
+    distances = [number(record.get(key, 0.0), key) for key in ("residual", "size")]
+    if min(distances) < 0:
+        raise ValueError("a distance is negative")
+    source, kind, vertical = (_text(record.get(key, ""), key)
+                              for key in ("source", "kind", "vertical"))
+    return Georeference(
+        crs, (east, north, height), source, distances[0], kind, distances[1], vertical,
+        tuple(map(_residual, tables(record.get("residuals", []), "residuals"))),
+        tuple(_text(each, "a warning") for each in warnings))
 
 
 def _residual(row: dict[str, Any]) -> Residual:
     up, pixel = (None if row.get(key) is None else number(row[key], key)
                  for key in ("up", "pixels"))
-    return Residual(_text(row, "name"), _text(row, "role"), number(row.get("east"), "east"),
-                    number(row.get("north"), "north"), up, pixel)
+    return Residual(_text(row.get("name", ""), "name"), _text(row.get("role", ""), "role"),
+                    number(row.get("east"), "east"), number(row.get("north"), "north"), up, pixel)
 
 
-def _text(record: dict[str, Any], key: str) -> str:
-    value = record.get(key, "")
-    if not _is_text(value):
+def _text(value: Any, key: str) -> str:
+    if not isinstance(value, str) or len(value) > LONGEST_CRS:
         raise ValueError(f"{key} is not a text")
-    return str(value)
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str) and len(value) <= LONGEST_CRS
-
-
-def _distance(record: dict[str, Any], key: str) -> float:
-    value = number(record.get(key, 0.0), key)
-    if value < 0:
-        raise ValueError(f"{key} is not a distance")
     return value
 
 
@@ -121,36 +111,27 @@ def write_orientation(folder: str | Path, up: ArrayLike, first_view: Camera | No
 
 
 def read_orientation(folder: str | Path) -> tuple[NDArray[np.float64], Camera | None] | None:
-    """Read orientation.json of a folder.
-
-    Returns
-    -------
-    The unit vector that points up and the first view, if it is recorded, in original coordinates;
-    None if there is no such file.
-    """
-    path = Path(folder) / ORIENTATION
-    record = _read(path)
-    if record is None:
-        return None
-    try:
-        up = numbers(record.get("up"), 3, "up")
-        length = float(np.linalg.norm(up))
-        if not 0 < length < math.inf:
+    """Read orientation.json of a folder: the unit vector that points up and the first view, if it
+    is recorded, in original coordinates; None if there is no such file."""
+    with _damage(Path(folder) / ORIENTATION) as path:
+        record = _object(path)
+        if record is None:
+            return None
+        up = _unit(numbers(record.get("up"), 3, "up"))
+        if up is None:
             raise ValueError("up has no direction")
         view = record.get("first_view")
-        return up / length, None if view is None else _camera(view)
-    except ValueError as error:
-        raise InputError(f"{path}: damaged ({error}); correct or remove the file") from None
+        return up, None if view is None else _camera(view)
+
+
+def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    length = float(np.linalg.norm(vector))
+    return vector / length if vector.shape == (3,) and 0 < length < math.inf else None
 
 
 def write_placement(folder: str | Path, scene: Scene, first_view: bool = False) -> None:
-    """Write the place and the orientation of a scene into a folder; what an earlier scene left
-    there is replaced or removed.
-
-    Parameters
-    ----------
-    first_view : also write the first view.
-    """
+    """Write the place and the orientation of a scene into a folder, on request with the first view;
+    what an earlier scene left there is replaced or removed."""
     write_orientation(folder, scene.up, scene.first_view if first_view else None)
     write_georeference(folder, scene.georeference)
 
@@ -207,31 +188,36 @@ def commented_up(comments: Iterable[str]) -> NDArray[np.float64] | None:
     for comment in comments:
         if comment.startswith(UP_COMMENT):
             try:
-                up = np.array([float(value) for value in comment.split()[1:4]])
+                up = _unit(np.array([float(value) for value in comment.split()[1:4]]))
             except ValueError:
                 continue
-            length = float(np.linalg.norm(up))
-            if up.shape == (3,) and 0 < length < math.inf:
-                return up / length
+            if up is not None:
+                return up
     return None
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+@contextmanager
+def _damage(path: Path) -> Iterator[Path]:
+    """Makes what is wrong in a file one line."""
+    try:
+        yield path
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: damaged ({reason(error)}); correct the file, or remove it and "
+                         "georeference the scene again") from None
+
+
+def _object(path: Path) -> dict[str, Any] | None:
     try:
         return object_of(read_regular(path))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: damaged ({reason(error)}); correct or remove the file"
-                         ) from None
 
 
 def _camera(record: Any) -> Camera:
     """The camera of a record; ValueError names the fault."""
     record = table(record, "first_view")
     width, height = (pixels(record.get(key), key) for key in ("width", "height"))
-    fx, fy = numbers(record.get("focal"), 2, "focal").tolist()
-    cx, cy = numbers(record.get("centre"), 2, "centre").tolist()
+    (fx, fy), (cx, cy) = (numbers(record.get(key), 2, key).tolist() for key in ("focal", "centre"))
     rows = record.get("rotation")
     if not (isinstance(rows, list) and len(rows) == 3):
         raise ValueError("rotation is not 3 x 3 numbers")

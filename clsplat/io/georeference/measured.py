@@ -9,16 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError
 from clsplat.io.georeference.adjustment import Located, NotGeoreferenced
-from clsplat.io.georeference.crs import (
-    GEODETIC,
-    UTM_EPSG,
-    converted_heights,
-    heights_of,
-    horizontal,
-    outside,
-)
+from clsplat.io.georeference.crs import UTM_EPSG, heights_of, horizontal, outside
 from clsplat.io.georeference.earth import map_positions
 from clsplat.io.photos.metadata import PhotoMetadata
 from clsplat.placement.alignment import LEAST_POSITIONS, Alignment
@@ -40,8 +32,8 @@ class Measured:
     Attributes
     ----------
     names : of the photos or points.
-    places : float64[N, 3], in the reconstruction.
-    positions : float64[N, 3], map coordinates; nan for what is unknown.
+    places, positions : float64[N, 3], in the reconstruction, and map coordinates; nan for what is
+        unknown.
     guesses : what the positions may be instead.
     crs : of the positions.
     vertical : what their heights count from.
@@ -62,13 +54,12 @@ class Measured:
 def by_control(located: Sequence[Located], lost: Sequence[str], crs: str, vertical: str
                ) -> Measured:
     """Ground control points; NotGeoreferenced if they are too few, or outside their CRS."""
-    count = len(located) + len(lost)
     if len(located) < LEAST_POSITIONS:
         missing = f" (not located: {listed(lost)})" if lost else ""
         raise NotGeoreferenced(
-            f"--gcp: {len(located)} of {count} ground control points can be located in the photos, "
-            f"and {LEAST_POSITIONS} are needed{missing}; mark each in two photos or more, by the "
-            "names and in the pixels of the photos that were reconstructed")
+            f"--gcp: {len(located)} of {len(located) + len(lost)} ground control points can be "
+            f"located in the photos, and {LEAST_POSITIONS} are needed{missing}; mark each in two "
+            "photos or more, by the names and in the pixels of the photos that were reconstructed")
     positions = np.array([item.point.position for item in located])
     degrees = (np.abs(positions[:, :2]) <= (180, 90)).all()
     where = outside(crs, positions) or (
@@ -90,66 +81,53 @@ def by_control(located: Sequence[Located], lost: Sequence[str], crs: str, vertic
 def by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: str | None
            ) -> Measured:
     """Positions of photos; NotGeoreferenced if they are too few, or outside the CRS."""
-    known = _with_gps(images, metadata)
-    if len(known) < LEAST_POSITIONS:
-        raise NotGeoreferenced("no photo has GPS" if not known else
-                               f"only {len(known)} photos have GPS", expected=True)
-    degrees = np.array([(photo.latitude, photo.longitude) for _, photo in known], np.float64)
-    heights = np.array([photo.altitude for _, photo in known], np.float64)  # unknown: nan
-    latitude = float(np.median(degrees[:, 0]))
+    photos, centres, degrees = _gps(images, metadata)
+    if len(photos) < LEAST_POSITIONS:
+        raise NotGeoreferenced("no photo has GPS" if not photos else
+                               f"only {len(photos)} photos have GPS", expected=True)
+    known = [metadata[name] for name in photos]
+    heights = np.array([photo.altitude for photo in known], np.float64)  # unknown: nan
+    latitude, longitude = np.median(degrees, axis=0)
     if crs is None and not UTM_LATITUDES[0] <= latitude <= UTM_LATITUDES[1]:
-        longitude = float(np.median(degrees[:, 1]))
         raise NotGeoreferenced(
             f"the photos' GPS is at latitude {latitude:.3f}, where UTM has no zones: are latitude "
             "and longitude exchanged? If not, give a CRS, "
             f'such as --crs "+proj=tmerc +lat_0={latitude:.0f} +lon_0={longitude:.0f} '
             '+datum=WGS84"')
-    ellipsoidal = all(photo.above_ellipsoid for _, photo in known)
-    heights, flat, vertical, notes = _levelled(degrees, heights, crs, ellipsoidal)
-    positions, own = map_positions(degrees[:, 0], degrees[:, 1], heights, flat)
+    vertical = ELLIPSOIDAL if all(photo.above_ellipsoid for photo in known) else SEA_LEVEL
+    notes = []
+    if crs and heights_of(crs).name:
+        notes.append(f"heights are not in {heights_of(crs).name}: they are {vertical}, and are not "
+                     "converted")
+        crs = horizontal(crs)
+    positions, own = map_positions(degrees, heights, crs)
     if crs is not None:
         finite = positions[np.isfinite(positions[:, 0])]
         where = outside(own, finite) if len(finite) else "nowhere"
         if where:
             raise NotGeoreferenced(f"the photos' GPS lies {where}, outside the area of {own[:60]}; "
                                    "give another --crs, or leave it out")
-    void = sum(photo.void for _, photo in known)
+    void = sum(photo.void for photo in known)
     if void:
         notes.append(f"the receiver marked the positions of {void} photos as void; they are used")
     std = None
-    if any(photo.gps_std is not None for _, photo in known):
-        std = np.array([photo.gps_std or 3 * (UNKNOWN_STD,) for _, photo in known])
-    guesses = tuple(Guess(question, map_positions(
-        other[:, 0], other[:, 1], heights)[0])
+    if any(photo.gps_std is not None for photo in known):
+        std = np.array([photo.gps_std or 3 * (UNKNOWN_STD,) for photo in known])
+    guesses = tuple(Guess(question, map_positions(other, heights)[0])
                     for question, other in _other_degrees(degrees))
-    return Measured(tuple(image.name for image, _ in known),
-                    np.array([image.projection_center() for image, _ in known]), positions,
-                    guesses, crs if crs and flat == crs else own, vertical, std, tuple(notes))
+    return Measured(tuple(photos), centres, positions, guesses, own, vertical, std, tuple(notes))
 
 
-def _with_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata]
-              ) -> list[tuple[Any, PhotoMetadata]]:
-    return [(image, metadata[image.name]) for image in images
-            if image.name in metadata and metadata[image.name].latitude is not None]
-
-
-def _levelled(degrees: NDArray[np.float64], heights: NDArray[np.float64], crs: str | None,
-              ellipsoidal: bool) -> tuple[NDArray[np.float64], str | None, str, list[str]]:
-    """Altitudes in the vertical part of a CRS, if it has one, the CRS that then is true, what the
-    heights count from, and notes."""
-    vertical = ELLIPSOIDAL if ellipsoidal else SEA_LEVEL
-    name = heights_of(crs).name if crs else ""
-    if crs is None or not name:
-        return heights, crs, vertical, []
-    why = "their files do not state what they count from"
-    if ellipsoidal:
-        try:
-            places = np.column_stack([degrees[:, ::-1], heights])
-            return converted_heights(GEODETIC, crs, places, "--crs"), crs, name, []
-        except InputError:
-            why = "PROJ lacks the geoid's grid here"
-    return heights, horizontal(crs), vertical, [
-        f"heights are not in {name}: they are {vertical}, and {why}"]
+def _gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata]
+         ) -> tuple[list[str], NDArray[np.float64], NDArray[np.float64]]:
+    """Of the images whose photos have GPS: names, centres [N, 3], latitudes and longitudes [N, 2].
+    """
+    found = [(image, metadata[image.name]) for image in images
+             if image.name in metadata and metadata[image.name].latitude is not None]
+    return ([image.name for image, _ in found],
+            np.array([image.projection_center() for image, _ in found]).reshape(-1, 3),
+            np.array([(known.latitude, known.longitude) for _, known in found],
+                     np.float64).reshape(-1, 2))
 
 
 def _other_degrees(degrees: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[np.float64]]]:
@@ -167,14 +145,13 @@ def _other_degrees(degrees: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[
 def require_near_gps(result: Alignment, images: Sequence[Any],
                      metadata: Mapping[str, PhotoMetadata], crs: str) -> None:
     """NotGeoreferenced if control points place the photos far from their own GPS."""
-    known = _with_gps(images, metadata)
-    if len(known) < LEAST_POSITIONS:
+    names, centres, degrees = _gps(images, metadata)
+    if len(names) < LEAST_POSITIONS:
         return
-    degrees = np.array([(photo.latitude, photo.longitude) for _, photo in known], np.float64)
-    gps, _ = map_positions(degrees[:, 0], degrees[:, 1], np.zeros(len(known)), horizontal(crs))
-    away = result.similarity(np.array([image.projection_center() for image, _ in known])) - gps
+    gps, _ = map_positions(degrees, np.zeros(len(names)), horizontal(crs))
+    away = np.linalg.norm((result.similarity(centres) - gps)[:, :2], axis=1)
     # what the CRS cannot represent is on the other side of the earth
-    distance = float(np.median(np.nan_to_num(np.linalg.norm(away[:, :2], axis=1), nan=2e7)))
+    distance = float(np.median(np.nan_to_num(away, nan=2e7)))
     if distance > FARTHEST:
         raise NotGeoreferenced(
             f"--gcp: the ground control points place the photos {distance / 1000:.0f} km from "

@@ -23,14 +23,8 @@ from clsplat.io.georeference.measured import (
 )
 from clsplat.io.photos.metadata import PhotoMetadata
 from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, Alignment
-from clsplat.placement.plausible import (
-    Implausible,
-    believed,
-    doubts,
-    position_doubts,
-    residual_doubts,
-)
-from clsplat.placement.similarity import rotation_to
+from clsplat.placement.plausible import Implausible, believed, doubts
+from clsplat.placement.similarity import Similarity, rotation_to
 from clsplat.placement.up import CAMERA_DEGREES, UP, Vertical, gimbal_up
 
 LEAST_GIMBALS = 0.5  # share of the photos whose gimbals must be known
@@ -70,8 +64,7 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     metadata : of the photos, by their names in the reconstruction; some may be missing.
     crs : the coordinate reference system, see `crs.scene_crs`; None: the UTM zone. That of
         `control`, if there is any.
-    control : ground control points.
-    vertical : what their heights count from.
+    control, vertical : ground control points, and what their heights count from.
     up : float[3], in the reconstruction, the direction that points up; None: by gimbals or cameras.
     adjusts : whether cameras and points are then adjusted to the control points; otherwise the
         reconstruction keeps its shape.
@@ -94,32 +87,39 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     centres = np.array([image.projection_center() for image in images])
     ground = np.median(result.similarity(points if len(points) else centres), axis=0)
     offset = np.round(ground)
-    similarity = result.similarity.moved(-offset)
-    reconstruction.transform(pycolmap.Sim3d(
-        similarity.scale, pycolmap.Rotation3d(similarity.rotation), similarity.translation))
-    level = ([] if result.levelled_by_heights else
-             ["heights do not show which way is up; the "
-              f"{'cameras' if known_up.degrees == CAMERA_DEGREES else 'gimbals'} do"])
+    _transform(reconstruction, Similarity(
+        result.similarity.scale, result.similarity.rotation,
+        result.similarity.translation - offset))
     if control:
         used = (adjust(reconstruction, used, offset, keep_focal) if adjusts else
                 [item for item, right in zip(used, result.used & result.used_heights) if right])
         found = residuals(reconstruction, located, used, offset)
-        source, residual, notes, warnings = _by_residuals(found, lost, adjusts, result.size)
-        warnings += position_doubts(result, measured.positions, known_up, True)
+        source, errors, notes = _by_residuals(found, lost, adjusts)
+        warnings = doubts(result, measured.positions, known_up, "the surveyed area",
+                          residuals=errors, heights_count=True)
     else:
-        source, residual = _gps_source(measured, result), result.horizontal
+        wrong = [name for name, right in zip(measured.names, result.used) if not right]
+        without = f", without {listed(wrong)}, whose positions are wrong" if wrong else ""
+        source, errors = f"GPS of {result.used.sum()} photos{without}", (
+            result.horizontal, result.vertical)
         found = _missed(measured, result)
-        notes = [f"georeferenced by the {source}: {_residuals(result)}"]
+        height = f", {result.vertical:.2f} m in height" * bool(np.isfinite(result.vertical))
+        notes = [f"georeferenced by the {source}: residual {result.horizontal:.2f} m along the "
+                 f"ground{height}"]
         warnings = doubts(result, measured.positions, known_up, "the flight")
         if ground[2] < LOWEST_GROUND:
             warnings.append(f"by the photos' altitudes the ground lies at {ground[2]:.0f} m: these "
                             "are probably not heights above sea level; give --gcp if heights "
                             "matter")
+    notes += measured.notes
+    if not result.levelled_by_heights:
+        source_of_up = "cameras" if known_up.degrees == CAMERA_DEGREES else "gimbals"
+        notes.append(f"heights do not show which way is up; the {source_of_up} do")
     east, north, height = offset.tolist()
     return Placed(Georeference(
-        measured.crs, (east, north, height), source, residual, "gcp" if control else "gps",
+        measured.crs, (east, north, height), source, errors[0], "gcp" if control else "gps",
         round(result.size, 3), measured.vertical, found, tuple(warnings)), UP,
-        (*notes, *measured.notes, *level), tuple(warnings))
+        tuple(notes), tuple(warnings))
 
 
 def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, PhotoMetadata],
@@ -134,9 +134,14 @@ def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, Photo
     """
     target = np.array([0.0, -1.0, 0.0])
     rotation = rotation_to(_vertical(*_content(reconstruction), metadata, None).up, target)
-    reconstruction.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
+    _transform(reconstruction, Similarity(1.0, rotation, np.zeros(3)))
     notes = (f"not georeferenced: {why}",)
     return Placed(None, target, notes, () if why.expected else notes)
+
+
+def _transform(reconstruction: pycolmap.Reconstruction, similarity: Similarity) -> None:
+    reconstruction.transform(pycolmap.Sim3d(
+        similarity.scale, pycolmap.Rotation3d(similarity.rotation), similarity.translation))
 
 
 def _content(reconstruction: pycolmap.Reconstruction) -> tuple[list[Any], NDArray[np.float64]]:
@@ -160,12 +165,6 @@ def _believed(measured: Measured, known_up: Vertical, is_control: bool) -> Align
         raise NotGeoreferenced(f"{kind} {error}{cure}") from None
 
 
-def _gps_source(measured: Measured, result: Alignment) -> str:
-    wrong = [name for name, right in zip(measured.names, result.used) if not right]
-    without = f", without {listed(wrong)}, whose positions are wrong" if wrong else ""
-    return f"GPS of {result.used.sum()} photos{without}"
-
-
 def _missed(measured: Measured, result: Alignment) -> tuple[Residual, ...]:
     away = np.round(result.similarity(measured.places) - measured.positions, 4)
     return tuple(
@@ -175,10 +174,10 @@ def _missed(measured: Measured, result: Alignment) -> tuple[Residual, ...]:
         if np.isfinite(east))
 
 
-def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool, size: float
-                  ) -> tuple[str, float, list[str], list[str]]:
-    """The source of a georeference by ground control points, its residual, which is that of the
-    check points if there are any, notes, and sentences on this residual."""
+def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool
+                  ) -> tuple[str, tuple[float, float], list[str]]:
+    """The source of a georeference by ground control points, its residuals along the ground and in
+    height, which are those of the check points if there are any, and notes."""
     parts = {role: [each for each in found if each.role == role]
              for role in (CONTROL, CHECK, LEFT_OUT)}
     source = f"{len(parts[CONTROL])} ground control points"
@@ -186,24 +185,19 @@ def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool
     for names, why in ((lost, "cannot be located in the photos"), (wrong, "contradict the others")):
         if names:
             source += f", without {listed(names)}, which {why}"
+    errors = {role: (_rms([(each.east, each.north) for each in rows]),
+                     _rms([(each.up,) for each in rows]), _rms([(each.pixels,) for each in rows]))
+              for role, rows in parts.items() if rows}
+    text = "residual {:.3f} m along the ground, {:.3f} m in height, {:.1f} pixels in the photos"
     notes = [f"{'adjusted to' if adjusted else 'georeferenced by'} {source}: "
-             f"{_control_residuals(parts[CONTROL])}"]
-    if parts[CHECK]:
+             f"{text.format(*errors[CONTROL])}"]
+    if CHECK in errors:
         notes.append(f"{len(parts[CHECK])} check points, which took no part: "
-                     f"{_control_residuals(parts[CHECK])}")
+                     f"{text.format(*errors[CHECK])}")
     elif adjusted:
         notes.append("no check points: the residual of points to which the scene was adjusted does "
                      "not show its error; leave some out with --check-point NAME")
-    judged = parts[CHECK] or parts[CONTROL]
-    ground = _rms([(each.east, each.north) for each in judged])
-    return source, ground, notes, residual_doubts(
-        ground, _rms([(each.up,) for each in judged]), size, "the surveyed area")
-
-
-def _control_residuals(items: Sequence[Residual]) -> str:
-    return (f"residual {_rms([(each.east, each.north) for each in items]):.3f} m along the ground, "
-            f"{_rms([(each.up,) for each in items]):.3f} m in height, "
-            f"{_rms([(each.pixels,) for each in items]):.1f} pixels in the photos")
+    return source, errors.get(CHECK, errors[CONTROL])[:2], notes
 
 
 def _rms(rows: Sequence[Sequence[float | None]]) -> float:
@@ -211,24 +205,17 @@ def _rms(rows: Sequence[Sequence[float | None]]) -> float:
     return float(np.sqrt(np.mean(np.sum(np.square(np.array(rows, np.float64)), axis=1))))
 
 
-def _residuals(result: Alignment) -> str:
-    text = f"residual {result.horizontal:.2f} m along the ground"
-    if np.isfinite(result.vertical):
-        text += f", {result.vertical:.2f} m in height"
-    return text
-
-
 def _vertical(images: Sequence[Any], points: NDArray[np.float64],
               metadata: Mapping[str, PhotoMetadata], given: ArrayLike | None) -> Vertical:
     """What the user, the gimbals, or else the cameras and points show of the vertical."""
     if given is not None:
         return Vertical.measured(given)
-    rotations = np.array([_upright(image, metadata.get(image.name)) for image in images])
-    gimbals = [(rotation, known.gimbal_pitch, known.gimbal_roll)
-               for rotation, known in ((rotation, metadata.get(image.name))
-                                       for rotation, image in zip(rotations, images))
-               if known is not None and known.orientation == 1
-               and known.gimbal_pitch is not None and known.gimbal_roll is not None]
+    known = [metadata.get(image.name) for image in images]
+    rotations = np.array([_upright(*pair) for pair in zip(images, known)])
+    gimbals = [(rotation, photo.gimbal_pitch, photo.gimbal_roll)
+               for rotation, photo in zip(rotations, known)
+               if photo is not None and photo.orientation == 1
+               and photo.gimbal_pitch is not None and photo.gimbal_roll is not None]
     if gimbals and len(gimbals) >= LEAST_GIMBALS * len(images):
         by_gimbals = gimbal_up(*(np.array(values) for values in zip(*gimbals)))
         if by_gimbals is not None:

@@ -14,11 +14,7 @@ from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.folders import make_folder
 from clsplat.io.georeference.adjustment import NotGeoreferenced, check_marks
-from clsplat.io.georeference.control_points import (
-    ControlPoints,
-    read_control_points,
-    require_no_checks,
-)
+from clsplat.io.georeference.control_points import read_control_points
 from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction
@@ -32,7 +28,8 @@ SPARSE = "sparse"
 def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None, crs: str = "",
                        gcp: Path | None = None, checks: Collection[str] = (),
                        up: ArrayLike | None = None) -> Placed:
-    """Write a scene with metric axes east, north and up.
+    """Write a scene with metric axes east, north and up; nothing is written if it cannot be
+    georeferenced.
 
     The new folder has its own model; photos and all other folders of the scene are linked, or
     copied where the file system has no links.
@@ -46,21 +43,8 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
     gcp : a file of ground control points, marked in pixels of the model's photos; None: GPS.
     checks : names of points of `gcp` that take no part, and show the error.
     up : float[3], in the scene; None: by gimbals, or by cameras and points.
-
-    Returns
-    -------
-    What `place_reconstruction` found.
-
-    Raises
-    ------
-    InputError : the scene cannot be georeferenced; nothing is written then.
     """
-    target = scene_crs(crs) if crs else None
-    control = ControlPoints(crs=target or "")
-    if gcp is None:
-        require_no_checks(checks)
-    else:
-        control = read_control_points(gcp, target, checks)
+    control = read_control_points(gcp, scene_crs(crs) if crs else None, checks)
     model, arrays = read_model(folder)  # pycolmap does not survive every damaged file
     if os.path.lexists(output):
         raise InputError(f"{output}: exists already; choose another --output")
@@ -76,7 +60,6 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
     except NotGeoreferenced as error:
         cure = "" if gcp else "; give photos with GPS (--photos), or ground control points (--gcp)"
         raise InputError(f"{folder}: not georeferenced: {error}{cure}") from None
-    placed = replace(placed, notes=(*control.notes, *placed.notes))
     partial = output.with_name(output.name + PARTIAL)
     shutil.rmtree(partial, ignore_errors=True)
     # before the new folder is made, which may be in that of the scene
@@ -95,7 +78,7 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
                          "space, and choose another --output") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return placed
+    return replace(placed, notes=(*control.notes, *placed.notes))
 
 
 def _link(source: Path, link: Path) -> None:

@@ -18,8 +18,8 @@ from clsplat.errors import InputError
 
 Model = tuple[str, tuple[float, ...]]  # name of a camera model, most of COLMAP, and parameters
 PANORAMA = "EQUIRECTANGULAR"
-# Brown's model with a radial term of r^8, which no model of COLMAP has. nerfstudio, Metashape and
-# RealityScan call its coefficient k4; that of FULL_OPENCV is another, which divides
+# Brown's model with a radial term of r^8, which no model of COLMAP has. nerfstudio and
+# Metashape call its coefficient k4; that of FULL_OPENCV is another, which divides
 BROWN_K4 = "BROWN_K4"
 ROUNDS, SMALLEST_STEP = 30, 1e-12  # of Newton's method
 MOST_DEGREES = 60.0  # from the axis, in a single view: there pixels are stretched fourfold

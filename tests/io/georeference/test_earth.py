@@ -14,24 +14,25 @@ HERE, THERE = (30.17115, -98.08987), (-33.9, 18.4)
 @pytest.mark.parametrize("place, crs, east, north", [
     (HERE, "EPSG:32614", 587630.75, 3338100.22), (THERE, "EPSG:32734", 259583.2, 6245888.0)])
 def test_the_utm_zone_of_a_place(place, crs, east, north):
-    positions, zone = map_positions([place[0]], [place[1]], [7.5])
+    positions, zone = map_positions([place], [7.5])
     assert zone == crs and positions[0] == pytest.approx((east, north, 7.5), abs=0.1)
-    assert np.array_equal(map_positions([place[0]], [place[1]], [7.5], crs)[0], positions)
+    assert np.array_equal(map_positions([place], [7.5], crs)[0], positions)
 
 
 @pytest.mark.parametrize("middle, crs, north", [
     (1e-4, "EPSG:32632", 0), (-1e-4, "EPSG:32732", 1e7)])
 def test_a_flight_across_the_equator_has_one_zone(middle, crs, north):
     latitudes = middle + 1e-3 * np.arange(-2, 3)
-    positions, zone = map_positions(latitudes, np.full(5, 9.0), np.zeros(5))
+    positions, zone = map_positions(np.column_stack([latitudes, np.full(5, 9.0)]),
+                                    np.zeros(5))
     assert zone == crs and np.allclose(positions[:, 1], north + 110_530 * latitudes, atol=0.1)
 
 
 def test_places_that_are_not_on_the_earth():
     """pycolmap raised ValueError for all places if one was wrong."""
-    places, crs = map_positions([52.4, 95.0], [16.9, 16.9], [80.0, 80.0])
+    places, crs = map_positions([[52.4, 16.9], [95.0, 16.9]], [80.0, 80.0])
     assert crs == "EPSG:32633" and np.isfinite(places[0]).all() and np.isnan(places[1]).all()
-    assert np.isnan(map_positions([5e6], [5e5], [0.0])[0]).all()
+    assert np.isnan(map_positions([[5e6, 5e5]], [0.0])[0]).all()
 
 
 def test_a_kilometre_of_cameras():

@@ -14,7 +14,7 @@ from clsplat.io.georeference.measured import require_near_gps
 def test_gps_that_a_crs_cannot_represent_counts_as_far_away(wrong, refused):
     """One such photo made the median distance unknown, and with it good control points wrong."""
     degrees = np.column_stack([np.full(5, 48.0), 9 + 1e-4 * np.arange(5)])
-    centres, _ = map_positions(*degrees.T, np.zeros(5), "EPSG:25832")
+    centres, _ = map_positions(degrees, np.zeros(5), "EPSG:25832")
     degrees[:wrong] = 0, 100
     images = [SimpleNamespace(name=str(row), projection_center=lambda row=row: centres[row])
               for row in range(5)]

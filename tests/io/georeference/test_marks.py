@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.placement.control_points import intersection
+from clsplat.io.georeference.adjustment import intersection
 
 POINT = np.array([1.0, -2.0, 3.0])
 ORIGINS = np.array([[0, 0, 50.0], [20, 0, 52], [-15, 18, 49], [5, -25, 51]])

@@ -1,0 +1,56 @@
+"""The preview of a map: its orthophoto, and its surface shaded with contour lines."""
+
+from typing import Any, BinaryIO
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LightSource, LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from clsplat.report.drawing import own_settings
+
+DPI = 100
+SUN = 315, 45  # degrees, azimuth and elevation: from the north-west, as maps are shaded
+# colours of the lowest, of the middle and of the highest ground
+TINTS = LinearSegmentedColormap.from_list("heights", ["#5c8c6b", "#ded19e", "#ede8e6"])
+
+
+def write_preview(file: BinaryIO, colours: NDArray[np.uint8], heights: NDArray[np.floating],
+                  smooth: NDArray[np.floating], size: float, interval: float, unit: str) -> None:
+    """Write a PNG with scales of length and height to a binary file.
+
+    Parameters
+    ----------
+    colours : [H, W, 4], red, green, blue and alpha.
+    heights, smooth : [H, W], map units, and the same smoothed; nan: unknown, white.
+    size : of a pixel, map units.
+    interval : between contour lines, map units; 0: none.
+    unit : of the map.
+    """
+    known = np.isfinite(heights)
+    low, high = np.nanquantile(smooth, (0.02, 0.98))
+    norm = Normalize(low, max(high, low + 1e-9))
+    shaded: Any = TINTS(norm(np.where(known, heights, low)))[..., :3]
+    if min(heights.shape) > 1:
+        shaded = LightSource(*SUN).shade_rgb(shaded, np.where(known, heights, low), dx=size,
+                                             dy=size, blend_mode="soft")
+    shaded = np.where(known[..., None], shaded, 1.0)
+    rows, columns = heights.shape
+    extent = (0.0, columns * size, 0.0, rows * size)
+    with own_settings(**{"axes.grid": False}):
+        figure = Figure(figsize=(2.2 * columns / DPI + 2, 1.1 * rows / DPI + 1), dpi=DPI,
+                        layout="constrained")
+        photo, surface = figure.subplots(1, 2, sharey=True)
+        photo.imshow(colours, extent=extent)
+        photo.set(xlabel=unit, ylabel=unit)
+        surface.imshow(shaded, extent=extent)
+        surface.set(xlabel=unit)
+        lines = f"; a line each {interval:g}" if interval else ""
+        figure.colorbar(ScalarMappable(norm, TINTS), ax=surface, shrink=0.6,
+                        label=f"height, {unit}{lines}")
+        if interval and min(heights.shape) > 1:
+            levels = np.arange(np.ceil(low / interval), high / interval) * interval
+            surface.contour(smooth, levels, extent=extent, origin="upper", colors="black",
+                            linewidths=0.6, alpha=0.6)
+        figure.savefig(file, format="png")
