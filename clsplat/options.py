@@ -87,8 +87,6 @@ class RunOptions:
     lpips: str = option("", "Run", "ONNX file of an LPIPS network, by which the finished model is "
                         "compared with the held-out photos as well; needs `pip install "
                         "onnxruntime`", affects="nothing", words={"none": ""})
-    snapshots: bool = option(False, "Run", "keep the model at the end of each level, for 3D "
-                             "Tiles", affects="time", part="levels", flag=False)
     coarse: bool = option(False, "Run", "train the coarse model of a city: photos at half size, "
                           "unless -r says otherwise", sets={True: {
                               "downscale": 2.0,
@@ -179,6 +177,7 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
 
 EARLIER = {"vignetting": "off"}  # what runs did that do not record an option
 # options of earlier versions -> the value that is what runs do now
+OBSOLETE = ("snapshots",)  # of earlier versions, which changed no model
 REMOVED = {"tone": "off", "moments": "float", "split_size": 0.01, "free_space": 0.0}
 
 
@@ -198,6 +197,12 @@ def recorded(record: dict[str, Any]) -> TrainOptions:
              if serves(option, schedule)}
     return resolve(checked_values("options.json", {
         name: value for name, value in record.items() if name in known}), {})
+
+
+def of_file(source: str, record: dict[str, Any]) -> dict[str, Any]:
+    """The `checked_values` of a file of a city, which may be of an earlier version."""
+    return checked_values(source, {name: value for name, value in record.items()
+                                   if name not in OBSOLETE})
 
 
 def serves(known: declared.Option, schedule: str) -> bool:

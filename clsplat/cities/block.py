@@ -18,7 +18,7 @@ from clsplat.io.lock import LockTaken, latest_change
 from clsplat.io.runs.city import DENSE, BlockFolder, CityFolder
 from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.write import DEPTH
-from clsplat.options import EARLIER, TrainOptions, checked_values, resolve
+from clsplat.options import EARLIER, TrainOptions, checked_values, of_file, resolve
 from clsplat.training.checkpoint import Saved
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
@@ -90,7 +90,7 @@ def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[st
 
 def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
     """The options in a block's folder, with changes; InputError for invalid ones."""
-    values = checked_values(str(block.path), block.read()["options"])
+    values = of_file(str(block.path), block.read()["options"])
     return resolve(values, {"init": str(block.initial), **changes})
 
 

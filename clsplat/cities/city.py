@@ -26,7 +26,7 @@ from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.origin import recorded_scene, scene_record
 from clsplat.io.runs.run import CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
-from clsplat.options import TrainOptions, checked_values, resolve
+from clsplat.options import TrainOptions, of_file, resolve
 from clsplat.scene import Scene, View
 from clsplat.schedule import SceneFacts, chooses_steps, worthwhile_steps
 from clsplat.training.loop import resume, train
@@ -69,7 +69,7 @@ class City:
         """
         if begun := folder.has_record:
             record = folder.read(scene=str, options=dict)
-            options = resolve({}, checked_values(str(folder.path / CITY), record["options"]))
+            options = resolve({}, of_file(str(folder.path / CITY), record["options"]))
             scene = read_scene(recorded_scene(record, folder.path, scene_path), options.images)
             if fingerprint(scene) != record["fingerprint"]:
                 raise InputError(f"{folder.path}: its scene {scene.path} has changed since; put it "
@@ -163,7 +163,7 @@ def coarse_options(city: City, joint: bool = False) -> TrainOptions:
     one_run, _ = city.one_run(scene, scene.split(options.test_every, options.test_offset)[0])
     share = COARSE_SHARE_BEFORE_JOINT if joint else COARSE_SHARE
     return dataclasses.replace(
-        options, coarse=True, snapshots=False, init=AUTO,
+        options, coarse=True, init=AUTO,
         downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
         iterations=max(1, int(share * one_run)), eval_at=(), eval_every=0, lpips="")
@@ -176,7 +176,7 @@ def _options_before(run: Run) -> TrainOptions:
         raise InputError(f"{run.path}: was not trained with --coarse; begin again with "
                          f"`clsplat train SCENE --coarse -o {run.path}`")
     return dataclasses.replace(
-        coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
+        coarse, coarse=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
         max_resolution=COARSE_FACTOR * coarse.max_resolution,
         iterations=(int(coarse.iterations / COARSE_SHARE) if chooses_steps(coarse) else
                     coarse.iterations))
@@ -191,7 +191,7 @@ def find_dense_gaussians(city: City, progress: SilentProgress | None = None) -> 
     """
     if city.folder.has_partition or city.folder.dense.is_file():
         return
-    prepared = prepare(city.pinhole, dataclasses.replace(city.options, snapshots=False))
+    prepared = prepare(city.pinhole, city.options)
     if prepared.options.init != "dense":
         return
     gaussians, _ = first_gaussians(city.device, prepared, progress or SilentProgress())

@@ -26,7 +26,7 @@ from clsplat.io.models.values import colours_of, to_bytes
 from clsplat.io.records import digest_of
 from clsplat.io.runs.city import PARTITION
 from clsplat.io.runs.run import RunFolder
-from clsplat.options import TrainOptions, checked_values, resolve
+from clsplat.options import TrainOptions, of_file, resolve
 from clsplat.partition.input import world_of
 from clsplat.training.loop import resume, train
 from clsplat.training.part import Part
@@ -119,7 +119,7 @@ def joint_options(city: City, given: Any, count: int) -> TrainOptions:
     if not isinstance(given, dict):
         raise InputError(f"{path}: damaged ({JOINT} is {str(given)[:20]!r}); remove it, and make "
                          f"it with `clsplat partition {city.folder.path}`")
-    joint = resolve(checked_values(str(path), given), {"init": str(city.folder.joint_start)})
+    joint = resolve(of_file(str(path), given), {"init": str(city.folder.joint_start)})
     most = joint.max_gaussians and max(joint.max_gaussians, count)
     return dataclasses.replace(joint, max_gaussians=most, test_every=city.options.test_every,
                                test_offset=city.options.test_offset)

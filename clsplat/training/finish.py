@@ -12,7 +12,6 @@ from clsplat.io.reason import reason
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
-from clsplat.training.frequency import VARIANTS, scene_frequency
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.session import Session
 
@@ -23,29 +22,10 @@ def save_model(run: RunFolder, session: Session) -> None:
     for part in session.parts:
         part.write(run, session)
     gaussians = session.model.download().scaled(session.scene.unit)
-    run.save_model(gaussians, session.scene.offset, _comments(run, session),
-                   session.options.sphere_columns)
-
-
-def save_snapshot(run: RunFolder, session: Session) -> None:
-    """Write the model at the end of a level, which 3D Tiles show at a distance.
-
-    The header has the level's factor, the steps taken and the scene frequencies, in 1 / world unit.
-    """
-    unit = session.scene.unit
-    frequency = scene_frequency(session.device, session.model.current_rows(), unit)
-    run.save_snapshot(
-        session.level, session.model.download().scaled(unit), session.scene.offset,
-        (*_comments(run, session), f"level {session.level:g}",
-         *(f"frequency {name} {frequency[f'{name}_mean']:.9g}" for name in VARIANTS)))
-
-
-def _comments(run: RunFolder, session: Session) -> tuple[str, ...]:
-    """Comments for the PLY header, which other tools read."""
-    return (*start_comment(str(run.read_options().get(START, ""))),
-            f"iterations {session.iteration}",
-            mode_comment(session.options.antialiased),
-            *placement_comments(session.scene.up, session.scene.georeference))
+    comments = (*start_comment(str(run.read_options().get(START, ""))),
+                f"iterations {session.iteration}", mode_comment(session.options.antialiased),
+                *placement_comments(session.scene.up, session.scene.georeference))
+    run.save_model(gaussians, session.scene.offset, comments, session.options.sphere_columns)
 
 
 def draw_report(run: RunFolder, session: Session, scene: Scene,

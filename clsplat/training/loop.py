@@ -30,7 +30,7 @@ from clsplat.scene import Scene
 from clsplat.schedule import Plan
 from clsplat.training.budget import Deadline, evaluation_seconds
 from clsplat.training.checkpoint import Checkpoint, Saved, saved_gaussians
-from clsplat.training.finish import draw_report, save_model, save_snapshot
+from clsplat.training.finish import draw_report, save_model
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.part import Part, TrainingSample
@@ -275,9 +275,6 @@ class Training:
         plan = session.schedule.plan(iteration)
         if deadline:
             plan = deadline.allowed(plan)
-        if session.options.snapshots and plan.level != session.level:
-            with self.clock.paused():
-                save_snapshot(self.run, session)
         for event, values in session.before_step(plan):
             self.recorder.log(event, **values)
         if session.use_level(plan.level) and deadline:

@@ -28,7 +28,7 @@ AFFECTS = {name: field.metadata["affects"] for name, field in FIELDS.items()}
 TINY = {**LEVELLED, "iterations": 12, "levels": (2.0, 1.0), "level_share": 0.4,
         "densify_from": 2, "densify_every": 2, "reproject": "off"}
 CHANGES = {"checkpoint_every": 4, "device": "cpu", "eval_at": (3,), "eval_every": 4,
-           "snapshots": True, "stop_at": 5}
+           "stop_at": 5}
 
 
 def refuses(call, *arguments):

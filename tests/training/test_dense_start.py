@@ -39,7 +39,7 @@ def chosen(scene, **options):
 @pytest.mark.parametrize("options, value", [
     ({}, "dense"), ({"schedule": "constant"}, "sfm"), ({"schedule": "mcmc"}, "sfm"),
     ({"preset": "paper"}, "sfm"), ({"preset": "release"}, "sfm"), ({"coarse": True}, "sfm"),
-    ({"snapshots": True}, "sfm"), ({"init": "sfm"}, "sfm"), ({"init": "random"}, "random"),
+    ({"init": "sfm"}, "sfm"), ({"init": "random"}, "random"),
     ({"iterations": 32 * LEAST_STEPS}, "dense"), ({"iterations": 32 * LEAST_STEPS - 1}, "sfm"),
     ({"init": "dense", "schedule": "constant"}, "dense"), ({"init": "dense"}, "dense")], ids=str)
 def test_sig_begins_at_dense_points_where_the_run_is_long_enough(city, options, value):

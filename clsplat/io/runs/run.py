@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,7 +31,6 @@ OPTIONS, METRICS = "options.json", "metrics.jsonl"
 CHECKPOINT = "checkpoint.npz"
 MODEL, REPORT = "point_cloud.ply", "report.html"
 PART_OF_CITY = "part_of_city"  # key of options.json: whether it is a coarse run or a block
-LOD, SNAPSHOT = "lod", re.compile(r"level_(\d+(?:\.\d+)?)\.ply")  # by the level's factor
 # in the order of their removal
 FILES = (METRICS, CHECKPOINT, EXPOSURES, POSES, MODEL, REPORT, OPTIONS)
 CITY = "city.json"  # of a folder that `clsplat city` wrote: io/runs/city.py reads it
@@ -127,10 +125,6 @@ class RunFolder:
     def _remove_files(self) -> None:
         """Remove the files of a run; links are removed, never followed."""
         self.renders.remove()
-        lod = self.path / LOD
-        if not lod.is_symlink():
-            remove_files([path for path in lod.glob("level_*")
-                          if SNAPSHOT.fullmatch(path.name.removesuffix(PARTIAL))], lod)
         for name in FILES:
             (self.path / (name + PARTIAL)).unlink(missing_ok=True)
             (self.path / name).unlink(missing_ok=True)
@@ -275,18 +269,6 @@ class RunFolder:
                    sphere: bool = False) -> None:
         """Replace the finished model; see `ply.write_ply`."""
         write_ply(self.path / MODEL, gaussians, offset, comments, sphere)
-
-    def save_snapshot(self, level: float, gaussians: Gaussians, offset: ArrayLike,
-                      comments: Iterable[str] = ()) -> None:
-        """Replace the model of a level, by its downscale factor; see `ply.write_ply`."""
-        path = self.path / LOD / f"level_{level:g}.ply"
-        make_folder(path.parent)
-        write_ply(path, gaussians, offset, comments)
-
-    def snapshots(self) -> list[tuple[float, Path]]:
-        """(factor, path) of the models of levels, coarse to fine, without the finished model."""
-        matches = ((SNAPSHOT.fullmatch(path.name), path) for path in (self.path / LOD).glob("*"))
-        return sorted(((float(name[1]), path) for name, path in matches if name), reverse=True)
 
     @property
     def model_path(self) -> Path:

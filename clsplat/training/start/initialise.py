@@ -111,8 +111,6 @@ def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions,
             return "sfm", f"sfm: the sparse points, as --schedule {options.schedule} is published"
         if options.coarse:
             return "sfm", "sfm: the sparse points, in the coarse run of a city"
-        if options.snapshots:  # distant views are drawn by these
-            return "sfm", "sfm: the sparse points, so that snapshots of coarser levels are small"
         if options.time_budget and seconds_of(options.time_budget) < LEAST_SECONDS * len(views):
             return "sfm", (f"sfm: the sparse points; dense ones need a time budget of "
                            f"{LEAST_SECONDS:g} s for each of {len(views)} photos")
