@@ -51,12 +51,6 @@ def test_readme_is_run(listed):
     assert len(listed) > 10 and all(run for _, run in listed)
 
 
-def test_readme_begins_with_two_lines(listed):
-    """One for the set-up and the main job, one for the set-up and the tests."""
-    assert [said for said, _ in listed[:2]] == ["tools/quickstart", "tools/test"]
-    assert listed[2][0].startswith("python3 -m venv .venv")
-
-
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
 
 
@@ -132,13 +126,3 @@ def test_workers_share_what_they_compile(tmp_path, monkeypatch):
     assert not (other.shared / "AA/kernel/b.so").exists()  # not for each file of tests
     other.exchange(at_once=True)
     assert sorted(path.name for path in (one.shared / "AA/kernel").iterdir()) == ["a.so", "b.so"]
-
-
-def test_readme_has_no_placeholder_that_nothing_replaces(listed):
-    for _, run in listed:
-        assert not re.search(r"\b[A-Z]{3,}\b", run.replace(str(ROOT), "")), run
-
-
-def test_every_replacement_is_used(readme, listed):
-    for pattern in readme.REPLACEMENTS:
-        assert any(re.search(pattern, said) for said, _ in listed), pattern

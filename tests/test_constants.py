@@ -30,11 +30,6 @@ def test_no_module_repeats_a_name_of_the_table():
         assert not targets & SHARED.keys(), name
 
 
-def test_the_table_is_frozen():
-    with pytest.raises(TypeError):
-        SHARED["PER_ITEM"] = 33
-
-
 def test_kernels_see_the_very_numbers(device, tmp_path):
     lines = [f"values[{place}] = {name};" for place, name in enumerate(SHARED)]
     file = tmp_path / "numbers.cl"

@@ -40,13 +40,6 @@ def test_duplicates_change_nothing():
     assert mean_inverse_distance(again) == pytest.approx(mean_inverse_distance(POINTS), rel=1e-14)
 
 
-def test_duplicates_are_found_among_points_that_share_coordinates():
-    grid = np.random.default_rng(0).integers(0, 3, (200, 3)).astype(float)
-    distinct, inverse = np.unique(grid, axis=0, return_inverse=True)
-    expected = neighbour_distance(distinct, 3)[inverse.reshape(-1)]
-    assert np.array_equal(neighbour_distance(grid, 3), expected) and expected.min() > 0.5
-
-
 @pytest.mark.filterwarnings("error")
 def test_twins_that_differ_by_rounding_do_not_make_it_infinite():
     """As in a model merged with its like: the nearest point that is another counts."""

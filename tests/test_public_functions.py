@@ -67,14 +67,3 @@ def test_what_lacks_is_noticed(tmp_path, source, complaint):
     (tmp_path / "clsplat").mkdir()
     (tmp_path / "clsplat/scene.py").write_text(source)
     assert any(complaint in line for line in all_lacking(tmp_path))
-
-
-@pytest.mark.parametrize("source", [
-    "class A:\n    def read(self) -> int:\n        'Read.'\nclass B(A):\n"
-    "    def read(self) -> int:\n        return 1",
-    "def _read(path): ...", "class _Scene:\n    def read(self, path): ...",
-    "class Scene:\n    def __init__(self): ...\n    def read(self) -> int:\n        'Read.'"])
-def test_what_is_private_or_whole_passes(tmp_path, source):
-    (tmp_path / "clsplat").mkdir()
-    (tmp_path / "clsplat/scene.py").write_text(source)
-    assert list(all_lacking(tmp_path)) == []

@@ -87,14 +87,6 @@ def test_ctrl_c_while_the_program_starts():
         130, "interrupted: give the same command again\n")
 
 
-def test_what_a_compiler_says_is_not_told_in_any_thread():
-    """Two threads that build kernels restore each other's filters of warnings."""
-    result = python("-c", "import clsplat.__main__ as entry, clsplat.cli.main as cli\n"
-                    "import pyopencl\n"
-                    "cli.main = lambda **_: pyopencl.compiler_output('built')\nentry.run()")
-    assert (result.returncode, result.stderr) == (0, "")
-
-
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="only Linux has a full device")
 def test_output_that_cannot_be_written_is_told():
     with open("/dev/full", "w") as full:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from clsplat.device import Device
-from clsplat.device.array import Arena, block_bytes
 from clsplat.device.graph import Input
 from clsplat.errors import ShapeError
 from clsplat.loss.reproject import SCALE
@@ -176,34 +175,3 @@ def test_blocks_are_used_again_and_results_are_not(own_device):
     del graph, graphs
     gc.collect()
     assert device._persistent.nbytes == persistent
-
-
-def test_an_arena_gives_a_block_again_once_nothing_refers_to_it():
-    made = []
-
-    def allocate(size):
-        made.append(bytearray(size))
-        return made[-1]
-
-    arena = Arena(allocate)
-    first, second = arena.allocate(1000), arena.allocate(1000)
-    assert first.buffer is not second.buffer and arena.managed_bytes == 2 * block_bytes(1000)
-    kept = first.buffer
-    del first
-    assert arena.allocate(block_bytes(1000)).buffer is kept and len(made) == 2
-    assert arena.managed_bytes == 2 * block_bytes(1000)
-    arena.free_held()
-    assert arena.managed_bytes == block_bytes(1000)  # of the second, which is in use
-    del second
-    arena.free_held()
-    assert arena.managed_bytes == 0
-
-
-def test_views_of_a_short_lived_array_keep_its_block(own_device):
-    for view in (lambda array: array.narrow(2), lambda array: array.reshaped(24)):
-        array = own_device.empty((8, 3))
-        other, buffer = view(array), array.buffer
-        del array
-        assert own_device.empty((8, 3)).buffer is not buffer
-        del other
-        assert own_device.empty((8, 3)).buffer is buffer

@@ -8,7 +8,6 @@ import pytest
 
 from clsplat.device import Device, Kernel, each, programs
 from clsplat.errors import DeviceError
-from clsplat.rendering import blend
 
 SOURCE = """
 __kernel void twice(uint count, __global const float *values, __global float *results)
@@ -88,13 +87,6 @@ def test_a_damaged_binary_is_not_used(float_device, folder, damage):
     assert not was_compiled(build(float_device)), "and it was replaced"
 
 
-def test_a_wrong_declaration_is_compiled_each_time_and_so_noticed(float_device, folder):
-    for _ in range(2):
-        assert was_compiled(build(float_device, kernel=SWAPPED, others=(TWICE,)))
-    assert not was_compiled(build(float_device)), "the right one was kept beside it"
-    assert was_compiled(build(float_device, kernel=SWAPPED))
-
-
 @pytest.mark.parametrize("times", [1, 2])
 def test_a_wrong_declaration_is_refused_however_often(float_device, folder, tmp_path, times):
     (tmp_path / "twice.cl").write_text(SOURCE)
@@ -113,29 +105,9 @@ def test_a_home_that_cannot_be_written_costs_nothing(float_device, tmp_path, mon
     assert doubled(float_device, build(float_device)) == [2, 5]
 
 
-def test_a_user_without_a_home(float_device, monkeypatch, folder):
-    def no_home():
-        raise RuntimeError("Could not determine home directory.")
-    monkeypatch.setattr(programs.Path, "home", no_home)
-    assert doubled(float_device, build(float_device)) == [2, 5]
-
-
 def test_what_was_long_unused_is_removed(float_device, folder):
     build(float_device)
     old, = folder.iterdir()
     programs.os.utime(old, (1, 1))
     build(float_device, SOURCE + "\n")
     assert not old.exists() and len(list(folder.iterdir())) == 1
-
-
-def test_platforms_with_a_cache_of_their_own_are_left_alone(float_device, folder, monkeypatch):
-    monkeypatch.setattr(programs, "PLATFORMS", ())
-    assert was_compiled(build(float_device)) and not folder.exists()
-
-
-@pytest.mark.slow
-def test_both_forms_of_the_blend_kernel_are_kept(float_device, folder):
-    for form in ("item", "group"):
-        device = Device(float_device.handle, form=form)
-        device._build(blend.BLEND, blend.blend_defines(with_depth=True))
-    assert len(list(folder.iterdir())) == 2

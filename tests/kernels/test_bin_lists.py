@@ -189,17 +189,3 @@ def test_the_sum_of_pairs_has_64_bits(device, monkeypatch):
         found = in_a_room(device, monkeypatch, rows, order, 5000, counts)[1]
         assert (int(found[COUNT_SUM_PAIRS]) + (int(found[COUNT_SUM_PAIRS + 1]) << 32)
                 == 5 * 2**32 - 10 + frames * int(found[COUNT_PAIRS]))
-
-
-@pytest.mark.oclgrind
-def test_slots_past_the_visible_splats_have_no_pairs(device, small_groups):
-    """Whatever their rows hold: there is room for more splats than are visible."""
-    rows, _ = shuffled(rows_of(100, 61, 37))
-    order = np.argsort(rows[:70, SPLAT_DEPTH], kind="stable")
-    fewer = Binned(device, rows[:70], 61, 37, order)
-    rows[70:] = giants(rows[:30].copy(), range(30))
-    padded = Binned(device, rows, 61, 37, np.append(order, np.full(30, UNWRITTEN)), visible=70)
-    assert np.array_equal(padded.splats, fewer.splats)
-    assert np.array_equal(padded.ranges, fewer.ranges)
-    assert np.array_equal(padded.emission_indices, fewer.emission_indices)
-    assert np.array_equal(padded.counts[:70], fewer.counts)

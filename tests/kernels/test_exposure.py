@@ -222,20 +222,6 @@ def test_what_is_saved_is_taken_over_and_goes_on_the_same(device):
     assert saved["steps"].tolist() == [0, 2, 0]
 
 
-@pytest.mark.slow
-def test_groups_of_any_size_give_the_same_bytes(float_device, monkeypatch):
-    device = float_device
-    image, grad = (device.upload(values) for values in a_pair(173, 151))
-    results = []
-    for group in (device.scan_group, 32, 128):
-        monkeypatch.setattr(device, "scan_group", group)
-        exposures = Run(device, vignetting=True).exposures
-        results.append([stepped(exposures, 0, image, grad).download(),
-                        *exposures.download().values()])
-    for other in results[1:]:
-        assert all(a.tobytes() == b.tobytes() for a, b in zip(results[0], other))
-
-
 def test_responses_are_what_the_kernels_apply(device):
     """By the host and by the reference: what an evaluation shows is what was learned."""
     run = Run(device, vignetting=True)

@@ -237,23 +237,3 @@ def test_epsilon_counts_as_far_as_stated(double_device, scale, begun, missed):
     bound = spread * (x / (1 + x))**2 + 1e-12
     assert abs(actual - expected) <= bound * abs(expected), (actual / expected - 1, bound)
     assert spread < {1: 0.03, 3: 0.14, 100: 3e-3, 301: 4e-4, 3000: 3e-5}[begun]
-
-
-@pytest.mark.one_in(2)
-def test_a_checkpoint_keeps_what_rows_have_missed(device):
-    """An engine that goes on from it ends in the same bytes as one that was never stopped."""
-    runs = [Lazy(device) for _ in range(2)]
-    for _ in range(45):
-        for run in runs:
-            run.step()
-    whole, stopped = runs
-    saved = stopped.engine.download(), stopped.engine.lag()
-    stopped.engine = DeviceAdam(device, stopped.rows, True)
-    stopped.engine.upload(*saved[0])
-    stopped.engine.load_lag(saved[1], stopped.steps)
-    for _ in range(70):
-        for run in runs:
-            run.step()
-    for name, array in whole.engine.current(whole.rows).items():
-        other = stopped.engine.current(stopped.rows)[name]
-        assert np.array_equal(array.download(), other.download()), name

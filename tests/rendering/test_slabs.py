@@ -67,28 +67,6 @@ def test_any_number_of_slabs_gives_the_same_picture(device, name):
         same_to_rounding(actual, downloaded(whole))
 
 
-def test_two_blocks_whose_gaussians_alternate_in_depth(float_device):
-    """Rendering block by block would be wrong; slab by slab is right."""
-    case = faint("plain", count=200)
-    rows = case["rows"]
-    rows["opacity_logits"][:], rows["positions"][:, :2] = -1.5, 0.02 * rows["positions"][:, :2]
-    depth_order = np.argsort(rows["positions"][:, 2])
-    first, second = depth_order[::2], depth_order[1::2]
-    rows["sh_constant"][first], rows["sh_constant"][second] = 1.5, -1.5
-    blocks = {name: values[np.concatenate([first, second])] for name, values in rows.items()}
-    _, _, whole = render(float_device, case, rows=blocks, with_depth=True)
-    for limit in (200, 100, 29):
-        *actual, _ = in_slabs(float_device, case, limit, blocks, part=100)
-        assert abs(actual[0] - whole.image.download()).max() < STOP
-        assert abs(actual[0] - whole.image.download()).mean() < 1e-4
-    one, two = ({name: values[half] for name, values in blocks.items()}
-                for half in (slice(100), slice(100, None)))
-    black = {**case, "background": np.zeros(3)}
-    front, back = in_slabs(float_device, black, 200, one), in_slabs(float_device, case, 200, two)
-    by_block = front[0] + front[2] * back[0]
-    assert abs(by_block - whole.image.download()).max() > 0.1
-
-
 @pytest.mark.parametrize("limit", [3, 10, 16])
 def test_ties_of_depth_are_drawn_in_the_order_of_rows(float_device, limit):
     case = faint("plain", count=60)
