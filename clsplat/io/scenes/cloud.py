@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from clsplat.errors import InputError
 from clsplat.io.fields import LARGEST_COORDINATE
 from clsplat.io.models.ply import read_vertices
-from clsplat.io.photos.images import read_image
 from clsplat.io.scenes.colmap import read_model
 from clsplat.scene import View
 
@@ -23,7 +22,6 @@ MOST_ROUNDS = 8
 NEIGHBOURS = 16  # nearest views, of which one more must see a sampled point
 DEPTHS = (0.5, 8.0)  # of sampled points, in distances to the farthest of those neighbours
 LEAST_ANGLE = np.radians(1.0)  # between two views of a sampled point
-COLOUR_PHOTOS, COLOUR_SIZE = 16, (32, 24)  # photos of the mean colour; width and height, pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +120,3 @@ def sample_points(path: str | Path, views: Sequence[View]) -> NDArray[np.float64
         raise InputError(f"{path}: no points, and no two cameras see the same place from different "
                          "positions; put points3D.ply beside it, or reconstruct with COLMAP")
     return kept[:count]
-
-
-def mean_colour(views: Sequence[View]) -> NDArray[np.uint8]:
-    """The mean colour, uint8[3], of at most 16 of the photos, evenly chosen."""
-    chosen = views[::-(-len(views) // COLOUR_PHOTOS)]
-    means = [read_image(view.source, COLOUR_SIZE, levels=view.levels).mean(axis=(0, 1))
-             for view in chosen]
-    mean: NDArray[np.float64] = np.mean(means, axis=0)
-    return mean.round().astype(np.uint8)

@@ -18,12 +18,13 @@ from clsplat.errors import InputError
 from clsplat.georeference import Georeference
 from clsplat.io.photos.lenses import Model, brown_model, undistorted_model
 from clsplat.io.scenes.checks import ROTATION_TOLERANCE, checked_scene
-from clsplat.io.scenes.cloud import Cloud, mean_colour, sample_points
+from clsplat.io.scenes.cloud import Cloud, sample_points
 from clsplat.io.scenes.sources import checked_photos
 from clsplat.scene import Scene
 
 # used until the cameras are checked, from which the points are then sampled
 PLACEHOLDER = Cloud(np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)]))
+GREY = 128  # of points without colours
 FLIPPED = np.array([1.0, -1.0, -1.0])  # camera axes right, up, back to right, down, forward
 
 
@@ -77,7 +78,7 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
     ----------
     path : the file that messages name.
     cloud : the points; without them points are sampled where two cameras see, and a warning is
-        logged. Without colours they get the mean colour of the photos.
+        logged. Without colours they are grey.
     smaller : as for `checked_photos`.
     """
     rotations, translations = exact_poses(np.array([photo.rotation for photo in photos]),
@@ -89,8 +90,8 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
         "translations": translations, "focals": np.array([each.focal for each in optics]),
         "centres": np.array([each.centre for each in optics]),
         "sizes": np.array([each.size for each in optics]), "points": points.positions,
-        "colours": np.zeros((len(points.positions), 3), np.uint8) if points.colours is None else
-        points.colours}
+        "colours": np.full((len(points.positions), 3), GREY, np.uint8) if points.colours is None
+        else points.colours}
     if points.observations is not None:
         arrays["observations"] = points.observations
     arrays = undistorted_model(path, arrays, [each.model for each in optics])
@@ -105,13 +106,12 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
         views=tuple(replace(view, mask=by_view[view.name].mask) for view in scene.views))
     scene = checked_photos(scene, smaller)
     if cloud is None:
-        scene = replace(scene, points=sample_points(path, scene.views))
+        sampled = sample_points(path, scene.views)
+        scene = replace(scene, points=sampled, colours=np.full((len(sampled), 3), GREY, np.uint8))
         logging.getLogger(__name__).warning(
             "%s: no sparse points: %d are sampled at random where at least two cameras see; a "
             "model trained from points3D.ply beside it, a COLMAP model or --init FILE (a point "
             "cloud) is better", path, len(scene.points))
-    if points.colours is None:
-        scene = replace(scene, colours=np.tile(mean_colour(scene.views), (len(scene.points), 1)))
     return scene.recentred()
 
 

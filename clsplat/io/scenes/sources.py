@@ -158,8 +158,8 @@ def _fitted(view: View, photo: Photo, factor: float,
     scale_x, scale_y = width / size[0], height / size[1]
     # rounding may change the shorter side by up to a pixel
     if abs(scale_x - scale_y) <= 1.0 / min(size):
-        why = ("it was rescaled: put the original back and use --downscale to train on smaller "
-               "ones; where all were, name their folder with --images")
+        why = ("it was rescaled: put the original back and use --downscale; where all were, name "
+               "their folder with --images")
     elif (height, width) == size:
         why = "it was rotated: put the original back, as it was when the scene was reconstructed"
         if photo.orientation in QUARTER_TURNS:

@@ -10,7 +10,7 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.io.photos.images import read_image, write_image
+from clsplat.io.photos.images import write_image
 from clsplat.io.photos.lenses import pixel_map
 from clsplat.io.photos.views import read_photo, read_valid
 from clsplat.io.scenes import transforms
@@ -24,7 +24,6 @@ from tests.data.layouts import (
     world_points,
     write_json,
     write_model,
-    write_ply,
     write_splits,
     write_transforms,
 )
@@ -114,14 +113,6 @@ def test_points_of_a_colmap_model_that_nerfstudio_rotated(tmp_path, city):
     x, y, z = world_points(city)[some].T
     np.testing.assert_allclose(world_points(scene), 2 * np.stack([x + 5, z, -y], axis=1),
                                atol=1e-9)
-
-
-def test_points_without_colour_get_the_mean_of_the_photos(tmp_path, city):
-    table = write_transforms(tmp_path, city)
-    write_ply(tmp_path / "sparse_pc.ply", world_points(city))
-    scene = read_scene(changed(tmp_path, table))
-    mean = np.mean([read_image(v.source).mean(axis=(0, 1)) for v in city.views], axis=0)
-    assert np.abs(scene.colours - mean).max() <= 1 and len(np.unique(scene.colours, axis=0)) == 1
 
 
 def test_points_are_sampled_where_two_cameras_look(tmp_path, city, caplog):
