@@ -19,8 +19,7 @@ from clsplat.io.photos.lenses import PANORAMA, Model, brown_model
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
-from clsplat.io.scenes.cloud import Cloud, read_cloud
-from clsplat.io.scenes.posed import FLIPPED, Optics, PosedPhoto, posed_scene
+from clsplat.io.scenes.posed import FLIPPED, Cloud, Optics, PosedPhoto, posed_scene, read_cloud
 from clsplat.scene import Scene
 
 ALL, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
@@ -50,7 +49,7 @@ def read_transforms(folder: Path) -> Scene:
     views are held out, or with transforms.json alone, and recentre it.
 
     Photos are at `file_path`, relative to the folder; the name of a view is that path without "..".
-    The points are those of `ply_file_path` or of `cloud.read_cloud`; without them they are sampled.
+    The points are those of `ply_file_path` or of `posed.read_cloud`; without them they are sampled.
     """
     path = folder / (TRAIN if (folder / TRAIN).exists() else ALL)
     table = _table(path)

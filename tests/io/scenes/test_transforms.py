@@ -14,7 +14,7 @@ from clsplat.io.photos.images import write_image
 from clsplat.io.photos.lenses import pixel_map
 from clsplat.io.photos.views import read_photo, read_valid
 from clsplat.io.scenes import transforms
-from clsplat.io.scenes.cloud import sample_points
+from clsplat.io.scenes.posed import sample_points
 from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
 from tests.data.layouts import (

@@ -26,8 +26,7 @@ from clsplat.io.photos.images import image_size
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
-from clsplat.io.scenes.cloud import Cloud
-from clsplat.io.scenes.posed import Optics, PosedPhoto, brown
+from clsplat.io.scenes.posed import Cloud, Optics, PosedPhoto, brown
 from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
 from clsplat.io.scenes.projects.scene import georeferenced, project_scene
 from clsplat.scene import Scene

@@ -21,7 +21,7 @@ from clsplat.io.models.gltf import accessor
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import open_regular, read_regular
-from clsplat.io.scenes.cloud import Cloud
+from clsplat.io.scenes.posed import Cloud
 
 MATCHES = "OPF_mesh_primitive_matches"
 Z_UP = np.array([(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)])  # from axes with y up

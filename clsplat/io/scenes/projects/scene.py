@@ -15,8 +15,7 @@ from clsplat.georeference import Georeference
 from clsplat.io.georeference.crs import project_crs
 from clsplat.io.georeference.earth import on_map
 from clsplat.io.reason import reason
-from clsplat.io.scenes.cloud import Cloud, read_cloud
-from clsplat.io.scenes.posed import PosedPhoto, posed_scene
+from clsplat.io.scenes.posed import Cloud, PosedPhoto, posed_scene, read_cloud
 from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
 from clsplat.io.scenes.sources import IMAGES
 from clsplat.placement.similarity import Similarity
