@@ -10,12 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io.models.compressed_ply import compressed_gaussians, is_compressed
 from clsplat.io.models.gltf import read_glb, write_glb
 from clsplat.io.models.ply import gaussians_of, read_elements, read_vertices, write_ply
 from clsplat.io.models.points import is_cloud, ply_cloud, read_las, write_las
+from clsplat.io.models.read_only import compressed_gaussians, is_compressed, read_splat
 from clsplat.io.models.sog import is_unbundled, read_sog, write_sog
-from clsplat.io.models.splat_file import read_splat
 from clsplat.io.models.spz import read_spz, write_spz
 from clsplat.io.models.values import Notes
 

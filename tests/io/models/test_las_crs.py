@@ -1,8 +1,6 @@
 """Points of laser scanners come into the scene from whatever CRS their file names."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pyproj
@@ -11,8 +9,6 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.georeference import Georeference
 from clsplat.io.models.formats import read_model
-from clsplat.io.scenes.read import read_scene
-from tests.io.shared_cases import CASES, needs_cases
 
 laspy = pytest.importorskip("laspy", reason="laspy is an extra: pip install 'clsplat[geo]'")
 PLACE = Georeference("EPSG:32755", (686696.0, 6090238.0, 100.0), "GPS", 0.1)
@@ -41,18 +37,6 @@ def in_crs(crs, scale=1.0):
     return np.column_stack([*to.transform(*places[:, :2].T), places[:, 2] / scale])
 
 
-@needs_cases
-def test_case():
-    scene = read_scene(CASES / "las/scene")
-    found = read_model(CASES / "las/lonlat.las", scene.offset, scene.georeference)
-    known = json.loads(Path(CASES / "las/scene/georeference.json").read_text())
-    assert known["crs"] == "EPSG:32755"
-    # in the same place as the sparse points of the scene
-    low, high = np.percentile(scene.points, (5, 95), axis=0)
-    middle = np.median(found.positions, axis=0)
-    assert (middle[:2] > low[:2]).all() and (middle[:2] < high[:2]).all()
-
-
 @pytest.mark.parametrize("crs, scale", [
     ("EPSG:4979", 1), ("EPSG:28355", 1), ("EPSG:32755+5773", 1), ("EPSG:4326+5773", 1),
     ("EPSG:32755+6360", FOOT), ("+proj=utm +zone=55 +south +units=us-ft", FOOT)])
@@ -65,8 +49,8 @@ def test_files_of_another_crs_are_converted(tmp_path, crs, scale, caplog):
 
 
 @pytest.mark.parametrize("version, crs, own", [
-    ("1.2", "EPSG:32755", PLACE.crs), ("1.2", None, PLACE.crs), ("1.4", "EPSG:32755", PLACE.crs),
-    ("1.4", None, PLACE.crs), ("1.4", "EPSG:32755", COMPOUND), ("1.4", COMPOUND, COMPOUND)])
+    ("1.2", "EPSG:32755", PLACE.crs), ("1.4", None, PLACE.crs), ("1.4", "EPSG:32755", COMPOUND),
+    ("1.4", COMPOUND, COMPOUND)])
 def test_files_of_the_scenes_crs_or_of_none_stay(tmp_path, version, crs, own, caplog):
     path = write(tmp_path / "a.las", POINTS + PLACE.offset, crs, version)
     found = read_model(path, georeference=replace(PLACE, crs=own))

@@ -5,11 +5,9 @@ import zipfile
 
 import pytest
 
-from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.io.models.formats import count_of, is_model, read_model, read_with_notes, write_model
 from tests.io.models.test_ply import equal, random_gaussians
-from tests.io.shared_cases import CASES, needs_cases
 
 
 @pytest.fixture
@@ -59,17 +57,3 @@ def test_what_does_not_fit(folder, change, words):
     (folder / "meta.json").write_text(json.dumps(meta))
     with pytest.raises(InputError, match=words):
         read_model(folder)
-
-
-@needs_cases
-@pytest.mark.parametrize("name", ["sog_v2_folder", "sog_v2_folder/meta.json", "sog2_dir.sog"])
-def test_cases(name, tmp_path, capsys):
-    with pytest.raises(SystemExit, match="0"):
-        main(["edit", str(CASES / name), "-o", str(tmp_path / "a.ply")])
-    assert "50 gaussians" in capsys.readouterr().out
-
-
-@needs_cases
-def test_version_1_is_refused_by_name(tmp_path):
-    with pytest.raises(InputError, match=r"sog1\.sog: SOG of version 1"):
-        read_model(CASES / "sog1.sog")

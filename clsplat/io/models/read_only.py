@@ -1,7 +1,9 @@
-"""Reads compressed PLY, the format of PlayCanvas and SuperSplat.
+"""Formats that are only read: compressed PLY and .splat.
 
-Chunks of 256 gaussians record the least and greatest of their positions, log scales and colours;
-each gaussian has four words of 32 bits, relative to those, and a byte for each harmonic.
+Compressed PLY is the format of PlayCanvas and SuperSplat. Chunks of 256 gaussians record the least
+and greatest of their positions, log scales and colours; each gaussian has four words of 32 bits,
+relative to those, and a byte for each harmonic. A .splat, of antimatter15's viewer, has 32 bytes a
+gaussian, and no harmonics.
 """
 
 from collections.abc import Iterable, Mapping
@@ -15,8 +17,9 @@ from numpy.typing import NDArray
 from clsplat.constants import SH_C0
 from clsplat.gaussians import Gaussians
 from clsplat.io.fields import numbers, reading
-from clsplat.io.models.quantise import from_smallest_three
-from clsplat.io.models.values import byte_logits, gaussians_of
+from clsplat.io.models.quantise import from_smallest_three, unit
+from clsplat.io.models.values import Notes, Steps, byte_logits, gaussians_of, log_scales_of
+from clsplat.io.regular import read_regular
 
 CHUNK = 256  # gaussians
 # columns of a chunk: the ends of a range of positions, log scales, colours
@@ -26,6 +29,9 @@ LIMITS = tuple(f"{end}_{name}" for names in ("xyz", ("scale_x", "scale_y", "scal
 WORDS = {"packed_position": (11, 10, 11), "packed_rotation": (2, 10, 10, 10),
          "packed_scale": (11, 10, 11), "packed_color": (8, 8, 8, 8)}
 SH_RANGE = 8.0  # from -4 to 4
+SPLAT = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 3),
+                  ("opacity", "u1"), ("quaternion", "u1", 4)])
+SPLAT_COLOURS, SPLAT_COMPONENTS = Steps(255 * SH_C0, 127.5), Steps(128, 128)
 ORIGIN = "origin_of_positions "  # comment of earlier versions of clsplat, which wrote this format
 
 
@@ -72,6 +78,25 @@ def compressed_gaussians(path: Path, elements: Mapping[str, plyfile.PlyElement],
         origin = next((numbers(comment[len(ORIGIN):], 3, "its origin") for comment in comments
                        if comment.startswith(ORIGIN)), np.zeros(3))
         return gaussians_of(path, rows, origin, offset)
+
+
+def read_splat(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, Notes]:
+    """Read a .splat file; see `models.read_with_notes`."""
+    with reading(path, "a .splat file"):
+        data = read_regular(path)
+        if len(data) % SPLAT.itemsize:
+            raise ValueError(f"its {len(data)} bytes are no multiple of {SPLAT.itemsize}")
+        table = np.frombuffer(data, SPLAT)
+        if not (table["scale"] >= 0).all():
+            raise ValueError("a scale is negative or not a number")
+        return gaussians_of(path, {
+            "positions": table["position"].astype(np.float64),
+            "sh_constant": SPLAT_COLOURS.values(table["colour"]),
+            "sh_rest": np.zeros((len(table), 0, 3)),
+            "opacity_logits": byte_logits(table["opacity"]),
+            "log_scales": log_scales_of(table["scale"].astype(np.float64)),
+            "quaternions": unit(SPLAT_COMPONENTS.values(table["quaternion"])),
+        }, np.zeros(3), offset), Notes()
 
 
 def _unpacked(words: NDArray[np.uint32], bits: tuple[int, ...]) -> NDArray[np.float64]:
