@@ -109,19 +109,8 @@ def tile_tree(gaussians: Gaussians, limit: int = TILE_GAUSSIANS) -> Tile:
 
 def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians,
                     progress: Callable[[int, int], object] | None = None) -> Tile:
-    """Write the model of a run as 3D Tiles.
-
-    Parameters
-    ----------
-    folder : a new or empty folder, which appears as a whole.
-    run : has what is up, and the georeference.
-    gaussians : its finished model or a part of it.
-    progress : see `write_tiles`.
-
-    Raises
-    ------
-    InputError : the folder is not empty.
-    """
+    """Write the finished model of a run, or some of its gaussians, as 3D Tiles into a new or empty
+    folder, which appears as a whole; `progress` as for `write_tiles`."""
     with new_folder(folder) as partial:
         tree = tile_tree(upright(gaussians, run.up))
         write_tiles(partial, tree, run.georeference, progress,
@@ -132,11 +121,10 @@ def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians,
 def write_tiles(folder: Path, tree: Tile, georeference: Georeference | None = None,
                 progress: Callable[[int, int], object] | None = None,
                 comments: Sequence[str] = ()) -> None:
-    """Write a tree as tileset.json and a glTF file for each tile.
+    """Write a tree as tileset.json and a glTF file for each tile into an existing folder.
 
     Parameters
     ----------
-    folder : an existing folder.
     tree : from `tile_tree`; its contents have one offset.
     georeference : of its original coordinates; None: the tileset has those of the scene.
     progress : called with the number of tiles that are written, and of all.

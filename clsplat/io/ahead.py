@@ -14,8 +14,7 @@ def called_ahead(call: Callable[..., Result], arguments: Iterable[tuple[Any, ...
 
     Parameters
     ----------
-    call : called in one of the threads.
-    arguments : of each call; they are taken in the caller's thread.
+    call, arguments : what is called in one of the threads, and with what; taken in the caller's.
     threads : how many calls run at the same time.
     most : how many calls may be begun or done whose results were not yielded yet, at least 1.
     """

@@ -94,18 +94,8 @@ def write_glb(path: Path, gaussians: Gaussians, notes: Notes) -> None:
 
 
 def write_spz_glb(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
-    """Write gaussians that stand upright, z up, for 3D Tiles; the file is replaced as a whole.
-
-    Parameters
-    ----------
-    path : the file, .glb.
-    gaussians : at least one; their offset is left out.
-    comments : lines of text.
-
-    Raises
-    ------
-    InputError : the file cannot be written, or SPZ cannot hold a position.
-    """
+    """Write one or more gaussians that stand upright, z up, for 3D Tiles, without their offset;
+    InputError if the file cannot be written, or SPZ cannot hold a position."""
     local = gaussians.located(np.zeros(3))
     content, degree = packed_spz(path, local, Notes(tuple(comments)))
     stored = local.positions.astype(np.float64) * (1, -1, -1)
@@ -187,28 +177,22 @@ def _bounds(positions: NDArray[np.floating]) -> dict[str, list[float]]:
 
 def _add_attributes(document: dict[str, Any], attributes: dict[str, NDArray[Any]]) -> bytes:
     """Add a mesh of gaussians to a document; returns the bytes of its attributes."""
-    views: list[dict[str, int]] = []
-    accessors: list[dict[str, Any]] = []
-    parts, size = [], 0
-    for name, values in attributes.items():
-        normalised = values.dtype == np.uint8
-        data = values if normalised else values.astype("<f4")
-        accessor: dict[str, Any] = {
-            "bufferView": len(views), "count": len(data),
-            "componentType": UNSIGNED_BYTE if normalised else FLOAT,
-            "type": "SCALAR" if data.ndim == 1 else f"VEC{data.shape[1]}"}
-        if normalised:
-            accessor["normalized"] = True
-        if name == "POSITION":
-            accessor |= _bounds(data)
-        views.append({"buffer": 0, "byteOffset": size, "byteLength": data.nbytes,
+    views, accessors, content = [], [], bytearray()
+    for at, (name, values) in enumerate(attributes.items()):
+        is_colour = values.dtype == np.uint8
+        data = values if is_colour else values.astype("<f4")
+        views.append({"buffer": 0, "byteOffset": len(content), "byteLength": data.nbytes,
                       "target": ARRAY_BUFFER})
-        accessors.append(accessor)
-        parts.append(data.tobytes())
-        size += data.nbytes
+        accessors.append({
+            "bufferView": at, "count": len(data),
+            "type": "SCALAR" if data.ndim == 1 else f"VEC{data.shape[1]}",
+            **({"componentType": UNSIGNED_BYTE, "normalized": True} if is_colour else
+               {"componentType": FLOAT}),
+            **(_bounds(data) if name == "POSITION" else {})})
+        content += data.tobytes()
     document |= {"bufferViews": views, "accessors": accessors, "meshes": [
         _mesh(attributes, sortingMethod="cameraDistance", projection="perspective")]}
-    return b"".join(parts)
+    return bytes(content)
 
 
 def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:

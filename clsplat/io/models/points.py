@@ -138,12 +138,8 @@ def write_points(path: Path, parts: Iterable[Part], ends: tuple[ArrayLike, Array
 
 def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | None = None
              ) -> tuple[Gaussians, Notes]:
-    """Read the points of a LAS or LAZ file as gaussians; see `models.read_with_notes`.
-
-    Parameters
-    ----------
-    crs : to which the points are converted, if the file names another; None: its own.
-    """
+    """Read the points of a LAS or LAZ file as gaussians, converted to a CRS if the file names
+    another; see `models.read_with_notes`."""
     laspy = laspy_for(path)
     with reading(path, "a LAS or LAZ file"), open_regular(path) as file:
         size = file.seek(0, 2)

@@ -34,11 +34,8 @@ def unit(quaternions: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def smallest_three(quaternions: NDArray[np.floating]
                    ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Unit quaternions without their largest component, which follows from the others.
-
-    Parameters
-    ----------
-    quaternions : float[N, 4], of any length.
+    """Quaternions [N, 4] of any length without their largest component, which follows from the
+    others if they have unit length.
 
     Returns
     -------

@@ -84,8 +84,8 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
         "version": 2, "asset": {"generator": "clsplat"}, "count": gaussians.count,
         "antialias": notes.antialiased,
         MEANS: {"mins": low.tolist(), "maxs": high.tolist()},
-        SCALES: {"codebook": _single(scales)}, QUATERNIONS: {},
-        COLOURS: {"codebook": _single(colours)}}
+        SCALES: {"codebook": scales.astype(np.float32).tolist()}, QUATERNIONS: {},
+        COLOURS: {"codebook": colours.astype(np.float32).tolist()}}
     if origin.any():
         meta[ORIGIN] = origin.tolist()
     parts = {MEANS: (steps & 255, steps >> 8), SCALES: (scale_labels,),
@@ -196,7 +196,7 @@ def _harmonics(sh_rest: NDArray[np.float64], degree: int
     pixels = np.zeros((lines * PALETTE_COLUMNS, bands, 4), np.uint8)
     pixels[..., 3] = 255
     pixels[:len(chosen), :, :3] = numbers.reshape(-1, bands, 3)
-    meta = {"count": len(chosen), "bands": degree, "codebook": _single(codes),
+    meta = {"count": len(chosen), "bands": degree, "codebook": codes.astype(np.float32).tolist(),
             "files": list(HARMONIC_TEXTURES)}
     return meta, (pixels.reshape(lines, PALETTE_COLUMNS * bands, 4),
                   _texture(np.stack([labels & 255, labels >> 8, 0 * labels], 1)))
@@ -239,11 +239,6 @@ def _codes(part: dict[str, Any]) -> NDArray[np.float64]:
     """A codebook float64[256]; numbers that a file leaves out are zero."""
     codes = np.array(part["codebook"], np.float64)
     return np.pad(codes, (0, 256 - len(codes)))
-
-
-def _single(values: NDArray[np.float64]) -> list[float]:
-    """The shortest decimal numbers that single precision distinguishes."""
-    return [float(str(value)) for value in values.astype(np.float32)]
 
 
 def encode_webp(pixels: NDArray[np.uint8]) -> bytes:

@@ -46,13 +46,7 @@ Numbers = NDArray[np.float32]
 
 
 class TreeWriter:
-    """Writes the nodes of a tree; see `writing_tree`.
-
-    Attributes
-    ----------
-    sh_degree : of all gaussians.
-    nodes : NODE, one each, of what is written.
-    """
+    """Writes the nodes of a tree, of which `nodes` has the entries; see `writing_tree`."""
 
     def __init__(self, file: BufferedWriter, sh_degree: int) -> None:
         self._file, self.sh_degree = file, sh_degree
@@ -60,14 +54,8 @@ class TreeWriter:
 
     def add(self, gaussians: Gaussians, facts: dict[str, ArrayLike],
             children: Sequence[int] = ()) -> int:
-        """Write a node; returns its number.
-
-        Parameters
-        ----------
-        gaussians : its content, in the frame of the whole tree.
-        facts : the fields of NODE from `low` on.
-        children : numbers of nodes that it replaces.
-        """
+        """Write a node with the fields of NODE from `low` on, which replaces the nodes with some
+        numbers; returns its own."""
         content = gaussians.with_sh_degree(self.sh_degree)
         node = np.zeros((), NODE)
         known = {"place": self._file.tell(), "count": content.count, "parent": NO_PARENT}
@@ -90,18 +78,8 @@ class TreeWriter:
 
 @contextmanager
 def writing_tree(path: Path, sh_degree: int, offset: ArrayLike) -> Iterator[TreeWriter]:
-    """Write a tree, which replaces an existing file as a whole when the block ends.
-
-    Parameters
-    ----------
-    path : the file.
-    sh_degree : of the gaussians.
-    offset : float64[3], the origin of their coordinates in the original ones.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
-    """
+    """Write a tree, which replaces an existing file as a whole when the block ends, of gaussians
+    with the `offset` float64[3]; InputError if it cannot be written."""
     with replacing(path) as file:
         file.write(bytes(HEADER.size))
         writer = TreeWriter(file, sh_degree)
@@ -116,23 +94,14 @@ def writing_tree(path: Path, sh_degree: int, offset: ArrayLike) -> Iterator[Tree
 
 
 class Tree:
-    """A tree on disk, whose index is in memory.
-
-    Parameters
-    ----------
-    path : of the file.
+    """A tree on disk, whose index is in memory; InputError if there is none, or it is damaged.
 
     Attributes
     ----------
-    sh_degree : of its gaussians.
-    offset : float64[3], the origin of their coordinates in the original ones.
+    sh_degree, offset : of its gaussians.
     nodes : NODE[K]; a node stands behind its children, the root is the last.
     children : int[K + 1] and int[K - 1]: where the children of each node begin in the second.
     count : how many gaussians the leaves have.
-
-    Raises
-    ------
-    InputError : there is no such file, or it is damaged.
     """
 
     def __init__(self, path: str | Path) -> None:
