@@ -120,14 +120,12 @@ class Workers:
             began: Callable[[Any], object] | None = None,
             ended: Callable[[Outcome], object] | None = None, retries: int = RETRIES
             ) -> list[Outcome]:
-        """Run jobs until each is finished or has failed.
+        """Run jobs, the first ones first, until each is finished or has failed.
 
         Parameters
         ----------
-        jobs : the first begin first.
         here : runs a job in this process, if there are no other ones.
-        began : called with each job that begins.
-        ended : called with each Outcome as soon as it is known.
+        began, ended : called with each job that begins, and with each Outcome.
         retries : how often a job that fails is tried again, unless its input is invalid.
 
         Returns

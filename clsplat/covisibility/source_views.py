@@ -24,7 +24,7 @@ MOST_PROJECTED = 10_000  # points that are projected where the scene has no obse
 
 def choose_source_views(scene: Scene, views: Sequence[View], count: int = 3
                         ) -> list[NDArray[np.integer]]:
-    """Choose for each view, as the reference view, the best source views among the others.
+    """Choose for each view, as the reference view, the best `count` source views among the others.
 
     A source view's score is the sum, over the points that both views see, of
     exp(-(ln(angle / 10 deg) / ln 2)^2 / 2), with the angle at the point between the two cameras.
@@ -33,16 +33,8 @@ def choose_source_views(scene: Scene, views: Sequence[View], count: int = 3
     rank views by angle too). Views that share fewer than 20 points at 1 to 60 degrees are not
     source views.
 
-    Parameters
-    ----------
-    scene : the scene of these views.
-    views : such as one part of `scene.split`.
-    count : the most source views of a view.
-
-    Returns
-    -------
-    For each view int[<= count], indices into `views`, best first; it may be empty.
-    """
+    Returns for each of `views`, such as one part of `scene.split`, int[<= count], indices into
+    `views`, best first; it may be empty."""
     points, point, view = visibility(scene, views)
     sees = csr_array((np.ones(len(view), np.int8), (view, point)), (len(views), len(points)))
     seen_by = csr_array(sees.T)
@@ -52,15 +44,10 @@ def choose_source_views(scene: Scene, views: Sequence[View], count: int = 3
 
 def visibility(scene: Scene, views: Sequence[View]
                ) -> tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.integer]]:
-    """Which of `views` sees which point.
+    """The points [P, 3], and the pairs of a point [M] and an index into `views` [M] that see it.
 
     Where the scene has no observations, a view sees those of at most 10000 evenly chosen points
-    that project into its image, without an occlusion test.
-
-    Returns
-    -------
-    The points [P, 3], and the pairs of a point [M] and an index into `views` [M] that see it.
-    """
+    that project into its image, without an occlusion test."""
     if scene.observations is None:
         return projected_points(scene.points, views)
     return scene.points, *_observed(scene.observations, scene.views, views)

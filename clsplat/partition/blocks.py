@@ -80,13 +80,8 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     Leaving out all small ones would leave holes: on the sample city, where they are 1 in 14 of a
     model, the views then had a PSNR of 26 dB against the whole model, and 35 dB with thinning.
 
-    Parameters
-    ----------
-    gaussians : the coarse model, in the local frame of `scene`.
-    scene : the whole scene.
-    region : the block's cell and margin.
-    views : of the block, with cameras of the size they are trained at (`Scene.reduced`).
-    """
+    `gaussians` : the coarse model, in the local frame of the whole `scene`; `views` : of the block,
+    with cameras of the size they are trained at (`Scene.reduced`)."""
     positions = gaussians.positions.astype(np.float64)
     reached = region.reaches(world_of(scene, positions))
     own = region.owns(world_of(scene, positions))

@@ -21,16 +21,8 @@ class Clusters:
 
     They are cut across the two longest sides of all points: into strips, and these into clusters
     (the packing of R-trees of Leutenegger, Lopez and Edgington 1997, Sort-Tile-Recursive).
-
-    Parameters
-    ----------
-    positions : [N, 3]; those that are not finite are in no view.
-    reach : [N], how far each of the points extends, in the same unit.
-
-    Attributes
-    ----------
-    order : int[N], the points in the order of their clusters.
-    """
+    `positions` : [N, 3]; those that are not finite are in no view; `reach` : [N], how far each of
+    the points extends; `order` : int[N], the points in the order of their clusters."""
 
     def __init__(self, positions: NDArray[np.floating], reach: NDArray[np.floating]) -> None:
         count = len(positions)

@@ -27,19 +27,17 @@ LEAST_HALF_SIDE = 0.02  # of the longest half side of an area of interest
 
 @dataclass(frozen=True, eq=False)
 class PartitionInput:
-    """What the partition methods work on.
+    """What the partition methods work on, in world coordinates.
 
     Attributes
     ----------
-    scene : the whole scene.
-    views : [V]; indices into scene.views of the training views.
-    cameras : [V, 3], world; the positions of these views.
-    content : [M, 3], world; the points or gaussians that are divided among the blocks.
-    weights : [M]; how much each of them counts.
-    points : [P, 3], world; the sparse points.
-    observed_points : [S]; with `observed_views`, the pairs (point, view) in which a view sees a
-        point.
-    observed_views : [S]; indices into `views`.
+    scene, views : the whole scene, and [V]: indices into scene.views of the training views.
+    cameras : [V, 3]; the positions of these views.
+    content, weights : [M, 3]; the points or gaussians that are divided among the blocks, and how
+        much each counts, [M].
+    points : [P, 3]; the sparse points.
+    observed_points, observed_views : [S]; the pairs (point, index into `views`) in which a view
+        sees a point.
     rotation : [3, 3]; rows u, v (along the ground) and up.
     bounds : low [2] and high [2] along u and v of the area of interest, if the user set one.
     """
@@ -63,10 +61,9 @@ class PartitionInput:
 
         Parameters
         ----------
-        scene : the whole scene.
+        scene, views : the whole, and indices into scene.views of the training views. None: all.
         gaussians : a coarse model in the scene's local frame, whose centres are the content. None:
             the sparse points are, each weighted by the number of views that see it.
-        views : indices into scene.views of the training views. None: all.
         up : world. None: that of the scene.
         bounds : X0, Y0, X1, Y1 on the map, see `Space.map`. None: no area of interest is set.
         weights : [N], how much each gaussian counts. None: all the same.

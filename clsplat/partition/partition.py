@@ -52,7 +52,8 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Partition:
-    """The blocks of one scene; their cells fill one space without gaps or overlap.
+    """Which block owns which part of the world; ValueError for cells that overlap, leave gaps, or
+    belong to different spaces.
 
     Attributes
     ----------
@@ -61,10 +62,6 @@ class Partition:
     views : [K] for each block; indices into scene.views, ascending.
     dropped : for each view that no block is assigned, by its index, the reason.
     notes : other remarks for the user, one line each.
-
-    Raises
-    ------
-    ValueError : the cells overlap, leave gaps, or belong to different spaces.
     """
 
     method: str

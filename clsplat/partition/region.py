@@ -17,18 +17,14 @@ Z = np.array([0.0, 0.0, 1.0])
 @dataclass(frozen=True, eq=False)
 class Space:
     """Coordinates in which cells are boxes; the area of interest has coordinates from -1 to 1.
+    ValueError for numbers that do not describe such a space.
 
     Attributes
     ----------
     rotation : [3, 3], world frame; its rows are the axes u, v (along the ground) and up.
-    origin : [3], world units; the centre of the area of interest.
-    half : [3], world units; half the sides of the area of interest.
+    origin, half : [3], world units; the centre of the area of interest, and half its sides.
     contracted : the whole world lies in [0, 1]^3 instead, and the area of interest in
         [1/4, 3/4]^3, by the inf-norm contraction (Liu et al. 2024, CityGaussian, eq. 2).
-
-    Raises
-    ------
-    ValueError : the numbers do not describe such a space.
     """
 
     rotation: NDArray[np.float64]
@@ -111,18 +107,13 @@ def map_axes(up: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A cell of a Space, which one block owns.
+    """A cell of a Space, which one block owns; ValueError for numbers that do not describe one.
 
     Attributes
     ----------
     space : the coordinates that `low` and `high` are in.
-    low : [3]; the cell contains these coordinates. -inf where the cell is unbounded.
-    high : [3]; the cell ends below these coordinates. inf where the cell is unbounded.
+    low, high : [3]; the cell begins at `low`, and ends below `high`. -inf and inf: unbounded.
     margin : share of each side by which a block trains beyond its cell.
-
-    Raises
-    ------
-    ValueError : the numbers do not describe a cell.
     """
 
     space: Space
@@ -162,14 +153,10 @@ class Region:
         return self.holds(self.space.to(points))
 
     def reaches(self, points: ArrayLike, spread: ArrayLike = 0.0) -> NDArray[np.bool_]:
-        """Which points lie in the cell enlarged by its margin, as bool[N].
+        """Which world points [N, 3] lie in the cell enlarged by its margin, as bool[N].
 
-        Parameters
-        ----------
-        points : [N, 3], world.
-        spread : [N] or one number, world units; points at this distance along u and v must lie in
-            the enlarged cell too.
-        """
+        `spread` : [N] or one number, world units; points at this distance along u and v must lie in
+        the enlarged cell too."""
         grown, points = self.grown(self.margin), np.asarray(points, np.float64)
         coordinates = self.space.to(points)
         reached = grown.holds(coordinates)

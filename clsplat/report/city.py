@@ -17,13 +17,8 @@ EXPLAINED = {
 
 
 def city_sections(folder: Path, records: Sequence[Record]) -> list[Table | str]:
-    """The map of the blocks and the tables of a merged city; nothing for other runs.
-
-    Parameters
-    ----------
-    folder : of the city.
-    records : its metrics.
-    """
+    """The map of the blocks and the tables of a merged city, from its folder and metrics; nothing
+    for other runs."""
     last = {record["event"]: record for record in records
             if record.get("event") in ("merge", "seams")}
     if "merge" not in last:
@@ -35,12 +30,7 @@ def city_sections(folder: Path, records: Sequence[Record]) -> list[Table | str]:
 
 
 def share_table(record: dict[str, Any]) -> Table:
-    """A row for each block.
-
-    Parameters
-    ----------
-    record : of a merge in the city's metrics, or `city.merge.Merged.record`.
-    """
+    """A row for each block, from the record of a merge."""
     steps = record.get("joint_steps")
     jointly = [f"the merged model was then trained as a whole for {steps:,} steps"] if steps else []
     names = ("state", "gaussians", "trained", "views", "points", "note")

@@ -15,7 +15,6 @@ from clsplat.cities.city import City
 from clsplat.cities.run import chosen_partition
 from clsplat.cli.main import main
 from clsplat.errors import OutOfDeviceMemory
-from clsplat.io.models.ply import read_ply
 from clsplat.io.photos.images import read_image
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
@@ -117,18 +116,6 @@ def test_large_blocks_have_the_gpu_to_themselves(tmp_path, monkeypatch):
     assert chosen({"grid": (2, 2)}).workers == 2
 
 
-def test_every_gaussian_is_owned_once(made):
-    partition, offset = made.partition(), np.array(
-        RunFolder.open(made.path).read_options()["offset"])
-    merged = read_ply(made.path / "point_cloud.ply", offset)
-    owner = partition.owner(merged.positions.astype(float) + offset)
-    owned = [block.read()["number"] for block in made.blocks()
-             for _ in range(int((partition.owner(read_ply(
-                 block.run / "point_cloud.ply", offset).positions.astype(float) + offset)
-                 == block.read()["number"]).sum()))]
-    assert owner.tolist() == owned
-
-
 def test_a_block_takes_as_many_steps_as_its_visits_say(made):
     training = 28  # of 32 views, which one run visits 60 times in all
     for block in made.blocks():
@@ -140,16 +127,6 @@ def test_a_block_takes_as_many_steps_as_its_visits_say(made):
     assert RunFolder.open(made.coarse).read_options()["downscale"] == 8
     whole = City(made, None, resolve({}, {}), None)
     assert cut.block_steps(whole, 299.6, (640, 480), FACTS)["iterations"] == 300
-
-
-def steps_of_blocks(folder):
-    return sum(block.read()["options"]["iterations"] for block in folder.blocks())
-
-
-def cut_again(folder, *flags):
-    shutil.rmtree(folder.path / "blocks")
-    (folder.path / "partition.json").unlink()
-    command("partition", folder.path, "--grid", "2x1", "--least-views", 3, *flags)
 
 
 def pictures(folder, out, *words):
@@ -192,14 +169,6 @@ def test_a_chosen_grid_has_a_block_a_worker(tmp_path):
         wanted = chosen_partition(given, whole, workers)
         assert len(make_partition(scene, wanted).regions) == grid
     assert chosen_partition(given, whole).least_blocks == 1
-
-
-def test_the_steps_of_all_blocks_are_an_option(copy):
-    before = steps_of_blocks(copy)
-    cut_again(copy, "--block-steps", 0.5)
-    assert 0.2 * before < steps_of_blocks(copy) < 0.3 * before
-    command("partition", copy.path, "--grid", "2x1", "--least-views", 3)
-    command("partition", copy.path, "--grid", "2x1", "--least-views", 3, "--block-steps", 1, code=2)
 
 
 def test_again_changes_nothing(copy, monkeypatch):

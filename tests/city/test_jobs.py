@@ -336,18 +336,6 @@ def test_unfit_workers_are_named_and_their_jobs_go_elsewhere(dask, tmp_path, cap
     assert any("not 0.0; install" in record.getMessage() for record in caplog.records)
 
 
-@pytest.mark.slow
-def test_a_cluster_without_devices(dask, tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster, "WAIT_SECONDS", 1)
-    with pytest.raises(InputError, match="no worker with a device for 1 s"):
-        on_cluster(dask, some_jobs(tmp_path, 1))
-    dask.start_worker(resources="")
-    assert eventually(lambda: len(dask_workers(dask)) == 1)
-    with pytest.raises(InputError, match="none of its 1 workers declares a device; start") as error:
-        on_cluster(dask, some_jobs(tmp_path, 1))
-    assert "--resources device=1" in str(error.value)
-
-
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
 def test_a_scheduler_that_does_not_answer(monkeypatch, address):
     pytest.importorskip("distributed")

@@ -88,11 +88,6 @@ def test_the_leaves_are_the_model_and_the_others_a_quarter_of_what_they_replace(
         assert np.exp(inside.log_scales).max() <= node["largest"] * (1 + 1e-6)
 
 
-def test_a_leaf_lies_in_one_block(model, tree):
-    for leaf in np.flatnonzero(tree.is_leaf):
-        assert len(set((tree.read(leaf, "positions")[:, 0] * 3 / LENGTH).astype(int))) == 1
-
-
 @pytest.mark.parametrize("x, focal", [(-1.0, 500.0), (-1.0, 40.0), (30.0, 100.0), (-3000.0, 60.0)])
 def test_nodes_replace_all_leaves_that_are_seen_once(tree, x, focal):
     """Near ones are finer; what is behind the camera is left out."""

@@ -94,18 +94,6 @@ def test_photos_are_sampled_in_runs_that_show_the_same_places(monkeypatch, read)
     assert [view.name for view in chosen] == [view.name for view in many.views[:48]]
 
 
-def test_the_photos_of_a_scene_are_compared_and_read_once(monkeypatch, read):
-    asked = []
-    monkeypatch.setattr(module, "colour_disagreement",
-                        lambda scene, views, photos: asked.append(list(photos)) or 0.01)
-    scene = circle(0, 5, 10, 15)
-    names, small = [view.name for view in scene.views], Thumbnails(scene.views)
-    found = module.scene_facts(scene, scene.views, small)
-    assert list(small.sampled(2)[1]) == names[::2] == read
-    assert found.disagreement() == found.disagreement() == 0.01
-    assert asked == [names] and sorted(read) == sorted(names)
-
-
 def test_how_many_photos_show_a_point():
     """Points that one photo shows tell nothing, and are not counted."""
     scene = circle(0, 5, 10, 15)

@@ -8,9 +8,7 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.covisibility.source_views import choose_source_views
-from clsplat.io.scenes.read import read_scene
 from clsplat.scene import Scene, View
-from tests.data.tiny_training import CITY
 
 CALITERRA = Path(__file__).resolve().parents[3] / "shared" / "data" / "caliterra"
 
@@ -77,22 +75,3 @@ def test_projected_points_lie_in_front_of_the_camera_and_in_the_image():
                    replace(camera, centre=(-1.0, 24.0)), replace(camera, centre=(32.0, 49.0))):
         views = (scene.views[0], replace(scene.views[1], camera=turned), scene.views[2])
         assert [s.tolist() for s in choose_source_views(scene, views)] == [[2], [], [0]]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("path", [CITY, CALITERRA], ids=lambda path: path.name)
-@pytest.mark.parametrize("tracks", [True, False])
-def test_source_views_of_real_scenes_are_near_and_look_the_same_way(path, tracks):
-    if not path.is_dir():
-        pytest.skip(f"no photo data set at {path}")
-    scene = read_scene(path)
-    views, _ = scene.split(8)
-    sources = choose_source_views(scene if tracks else replace(scene, observations=None), views)
-    assert all(len(s) == len(set(s) - {i}) == 3 for i, s in enumerate(sources))
-    one, other = np.repeat(range(len(views)), 3), np.concatenate(sources)
-    positions = np.array([view.camera.position for view in views])
-    distances = np.linalg.norm(positions[:, None] - positions, axis=2)
-    rank = distances.argsort(axis=1).argsort(axis=1)[one, other]
-    assert np.median(rank) <= 3 and rank.max() < len(views) / 2
-    forward = np.array([view.camera.rotation[2] for view in views])
-    assert ((forward[one] * forward[other]).sum(axis=1) > np.cos(np.deg2rad(60))).all()

@@ -62,11 +62,3 @@ def test_points_that_are_not_finite_hide_no_others(value):
             expected = shown_sizes(positions, deviations, camera, 0.01)
         assert np.array_equal(
             largest_sizes(positions, deviations, [View("a", camera, b"")], 0.01), expected)
-
-
-def test_the_largest_of_all_views():
-    positions, deviations = strewn(4 * SIZE)
-    views = [View(str(number), camera, b"") for number, camera in enumerate(cameras(8))]
-    every = [shown_sizes(positions, deviations, view.camera, 0.01) for view in views]
-    assert np.array_equal(largest_sizes(positions, deviations, views, 0.01), np.max(every, axis=0))
-    assert sum(sizes.any() for sizes in every) > len(views) / 2

@@ -67,15 +67,6 @@ def test_points_that_are_not_finite_have_no_owner(contracted):
         assert not Region(where).owns(points).any()
 
 
-def test_a_margin_is_a_share_of_each_side():
-    where = Space(np.eye(3), np.zeros(3), np.ones(3))
-    cell = Region(where, (0, 0.2, -np.inf), (0.4, np.inf, np.inf), 0.25)
-    inside = [[-0.09, 0.5, 9], [0.49, 0.5, -9], [0.2, 0.01, 0], [0.2, 99, 0]]
-    outside = [[-0.11, 0.5, 9], [0.51, 0.5, -9], [0.2, -0.01, 0]]  # v's side ends at 1: 0.8
-    assert cell.reaches(np.array(inside)).all() and not cell.reaches(np.array(outside)).any()
-    assert not cell.owns(np.array(inside)).all()
-
-
 def test_a_cell_reaches_all_points_within_its_margin():
     for seed in range(20):
         where = space(contracted=seed % 2 == 1, seed=seed)

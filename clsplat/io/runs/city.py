@@ -46,11 +46,10 @@ class CityFolder:
 
     Attributes
     ----------
-    coarse : folder of the coarse run.
+    coarse, joint : folders of the coarse run and of the joint training.
     undistorted : folder of the undistorted photos of a scene that needs them.
-    dense : the PLY of the gaussians at dense points, where the city has them.
-    joint, joint_start : the run of the joint training, and the PLY of the points at which it
-        begins, where the city has one.
+    dense, joint_start : PLYs of the gaussians at dense points, and of the points at which the joint
+        training begins.
     map, picture : the partition as GeoJSON and as an image.
     """
 
