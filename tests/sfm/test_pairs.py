@@ -36,7 +36,7 @@ def test_gps_that_photos_lack_cannot_be_asked_for():
 
 def test_videos_and_unknown_photos_are_compared_by_their_largest_features(monkeypatch):
     rng = np.random.default_rng(0)
-    kinds = [rng.normal(size=(40, 128)).astype(np.float32) for _ in range(2)]
+    kinds = [rng.normal(size=(12, 128)).astype(np.float32) for _ in range(2)]
     kinds = [kind / np.linalg.norm(kind, axis=1, keepdims=True) for kind in kinds]
     monkeypatch.setattr(pairs, "_largest", lambda database, count: np.array([
         kinds[index % 2] for index in range(count)]))

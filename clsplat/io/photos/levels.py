@@ -4,7 +4,7 @@ Temperatures fill a hundredth of what 16 bits hold: divided by 257, they would b
 grey. All photos of a set are stretched alike, so that a surface keeps its grey from view to view.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ SHARES = (0.1, 99.9)  # per cent of a photo's samples, between which they count
 FEWEST_STEPS = 64.0  # of 8 bits that samples fill, with which they are left as they are
 
 
-def common_levels(sources: Sequence[Source], deep: Iterable[bool]) -> list[Levels | None]:
+def common_levels(sources: Sequence[Source], deep: Sequence[bool]) -> list[Levels | None]:
     """For each photo the lowest and the greatest sample that count in the whole set; None for those
     that are read as they are, because they fill 8 bits anyway or have other samples.
 
@@ -24,7 +24,6 @@ def common_levels(sources: Sequence[Source], deep: Iterable[bool]) -> list[Level
     sources : of photos, as `photo.opened` takes them.
     deep : whether each is grey with 16 bits, as `photo.Photo` has it.
     """
-    deep = list(deep)
     read = [source for source, is_deep in zip(sources, deep) if is_deep]
     ends = []
     for source in read[::-(-len(read) // MOST_READ) or 1]:
