@@ -66,7 +66,7 @@ class Trainer:
             run = RunFolder.create(folder, overwrite=overwrite)
             self._training = Training(data, chosen, opened, run, parts=parts)
             opening.callback(self._training.session.photos.close)
-            self._training.record(data, chosen)
+            self._training.record()
             self._open = opening.pop_all()
         self.run = Run(run)
         self._is_closed = False

@@ -38,7 +38,7 @@ from clsplat.training.photos import THREADS, epoch_order, size_note
 from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Clock, Evaluator, Recorder, broken
 from clsplat.training.session import Session
-from clsplat.training.start.prepare import is_stage
+from clsplat.training.start.prepare import is_stage, prepare
 from clsplat.training.start.scene_checks import find_warnings
 from clsplat.training.step import Measured
 
@@ -72,7 +72,7 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     training = Training(scene, options, device, run, progress, callbacks=callbacks,
                         watcher=watcher, on_save=on_save, parts=parts)
     with training.resumable():
-        training.record(scene, options)
+        training.record()
         training.begin()
         training.run_to_end()
 
@@ -152,7 +152,7 @@ class Training:
         self.recorded = gaussians is not None
         parts = tuple(parts)
         self.is_stage = is_stage(options, parts)
-        self.run, self.watcher, self._on_save = run, watcher, on_save
+        self._given, self.run, self.watcher, self._on_save = (scene, options), run, watcher, on_save
         self.progress = progress = SilentProgress() if progress is None else progress
         # the larger one shows it once
         if (note := size_note(scene.views, options)) and not self.is_stage:
@@ -161,8 +161,9 @@ class Training:
             progress.phase("undistorting photos")
             scene = undistorted(with_depths(scene, options.depth), run.undistorted, THREADS)
         self._scene, self.clock = scene, Clock(device)
-        self.session = Session.build(scene, options, device, progress, gaussians, run.path, level,
-                                     parts)
+        progress.phase("planning")
+        self.session = Session.build(prepare(scene, options, device, parts), device, progress,
+                                     gaussians, run.path, level)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
         self.deadline = Deadline(
@@ -175,10 +176,9 @@ class Training:
         self._measured: list[Measured] = []  # by the latest step
         progress.phase("compiling kernels")  # of the first step
 
-    def record(self, scene: Scene, options: TrainOptions) -> None:
-        """Write the options and the first records of a new run, and show its warnings; scene and
-        options are those that were given."""
-        session = self.session
+    def record(self) -> None:
+        """Write the options and the first records of a new run, and show its warnings."""
+        session, (scene, options) = self.session, self._given
         warnings = find_warnings(session.scene, session.prepared.thumbnails,
                                  session.model.rows["opacity_logits"].download())
         self.run.write_options({**run_record(scene, options, session.device, self.is_stage),

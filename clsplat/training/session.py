@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from clsplat.device import Device
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
 from clsplat.gaussians import Gaussians
-from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
-from clsplat.scene import Scene, View
+from clsplat.scene import View
 from clsplat.schedule import Plan, Schedule, laid_over
 from clsplat.schedule.plan import size_at
 from clsplat.training.model import Model
@@ -28,7 +27,7 @@ from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.photos import Photos, decoded
 from clsplat.training.progress import SilentProgress
 from clsplat.training.start.initialise import first_gaussians
-from clsplat.training.start.prepare import PreparedScene, prepare
+from clsplat.training.start.prepare import PreparedScene
 from clsplat.training.step import Step
 from clsplat.training.units import MOST_PENDING
 
@@ -77,16 +76,11 @@ class Session:
         self.use_level(self.photos.level)
 
     @classmethod
-    def build(cls, scene: Scene, options: TrainOptions, device: Device,
-              progress: SilentProgress | None = None,
-              gaussians: Gaussians | None = None, folder: Path | None = None,
-              level: float = 0.0, parts: Iterable[Part] = ()) -> Session:
-        """Build a session from a scene and options as they were given, and read all photos,
-        held-out ones too; InputError for what cannot be used. A resumed run has its gaussians and
-        its level."""
-        progress = progress or SilentProgress()
-        progress.phase("planning")
-        prepared = prepare(scene, options, device, parts)
+    def build(cls, prepared: PreparedScene, device: Device, progress: SilentProgress,
+              gaussians: Gaussians | None = None, folder: Path | None = None, level: float = 0.0
+              ) -> Session:
+        """Build a session, and read all photos, held-out ones too; InputError for what cannot be
+        used. A resumed run has its gaussians and its level."""
         gaussians, seconds = ((gaussians, 0.0) if gaussians else
                               first_gaussians(device, prepared, progress))
         schedule = prepared.schedule(gaussians)

@@ -11,6 +11,7 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.stereo.dense_points import stereo_views
 from clsplat.training import session
+from clsplat.training.part import Survey
 from clsplat.training.progress import SilentProgress
 from clsplat.training.start.initialise import (
     LEAST_SECONDS,
@@ -29,7 +30,8 @@ def city():
 
 
 def start(scene, options):
-    return chosen_start(scene, scene.views, options, lambda: stereo_views(scene, scene.views))
+    survey = Survey(scene, scene.views, options, None)
+    return chosen_start(survey, lambda: stereo_views(scene, scene.views))
 
 
 def chosen(scene, **options):

@@ -21,9 +21,10 @@ from clsplat.io.models.formats import count_of, is_model, read_model
 from clsplat.io.models.quantise import morton_order
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.options import TrainOptions, seconds_of
-from clsplat.scene import Scene, View
+from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of
 from clsplat.stereo.dense_points import SIDE, dense_points, sweep_seconds
+from clsplat.training.part import Survey
 from clsplat.training.photos import decoded, with_side
 from clsplat.training.progress import SilentProgress
 
@@ -98,11 +99,12 @@ def planned_initial(facts: SceneFacts, options: SceneOptions) -> SceneFacts:
     return replace(facts, count=count_of(options.init))
 
 
-def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions,
-                 compared: Callable[[], Sequence[Sequence[int]]]) -> tuple[str, str]:
+def chosen_start(survey: Survey, compared: Callable[[], Sequence[Sequence[int]]]
+                 ) -> tuple[str, str]:
     """(the value of `init` that is used, the reason); InputError where dense points were requested
     and cannot be had. `compared` returns the `stereo_views` of the training views; it is called
     only where these matter."""
+    scene, views, options = survey.scene, survey.views, survey.options
     dense = options.init == "dense"
     if not dense and not is_auto(options.init):
         return options.init, f"{options.init}: requested"

@@ -163,7 +163,7 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
                 for name, decision in part.decide(survey).items()}
     limit = Decision(*schedule.planned_limit(options, facts))
     compared = functools.cache(lambda: stereo_views(scene, views))
-    start = Decision(*chosen_start(scene, views, options, compared))
+    start = Decision(*chosen_start(survey, compared))
     if start.value == "dense":
         facts = replace(facts, count=planned_count(limit.value, facts.pixels, options))
     parts = {"steps": length, "init": start,
