@@ -15,9 +15,8 @@ and so y', with p1 and p2 exchanged: p1 is OpenCV's p2. The sparse points are no
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -26,8 +25,7 @@ from clsplat.io.fields import numbers, parsed, pixels, reading
 from clsplat.io.georeference.crs import is_local
 from clsplat.io.regular import open_regular, read_regular
 from clsplat.io.scenes.posed import Optics, PosedPhoto, brown, only
-from clsplat.io.scenes.projects.photo_files import PhotoFiles
-from clsplat.io.scenes.projects.scene import georeferenced, project_scene, root_of
+from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene, root_of
 from clsplat.placement.similarity import Similarity
 from clsplat.scene import Scene
 
@@ -36,17 +34,6 @@ COEFFICIENTS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2",
 IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
 CURE = ("optimise the cameras in Metashape without it (Tools, Optimize Cameras), or export "
         "undistorted photos with their cameras in COLMAP's format (File, Export, Export Cameras)")
-
-
-class Transforms(NamedTuple):
-    """The similarities to the world, by the ids of components; "" is that of the chunk."""
-
-    by_component: Mapping[str, Similarity]
-
-    def of(self, camera: Element) -> Similarity:
-        """The similarity that holds for a camera."""
-        return self.by_component.get(camera.get("component_id", ""),
-                                     self.by_component.get("", IDENTITY))
 
 
 def find_metashape(path: Path) -> Path | None:
@@ -77,25 +64,18 @@ def read_metashape(path: Path, images: str = "") -> Scene:
     """
     files = PhotoFiles(path.parent, images)
     with reading(path, "cameras of Metashape", "export them again"):
-        chunk = _chunk(path)
-        used, notes = _aligned(chunk)
-        sensors = {sensor.get("id", ""): sensor for sensor in chunk.iter("sensor")}
-        transforms = _transforms(chunk)
-        photos = [_photo(camera, sensors, transforms, files) for camera in used]
-        definition = (chunk.findtext("reference") or "").strip()
-    if not definition or is_local(definition):
-        return project_scene(path, path.parent, files, photos, notes=notes)
-    placed, _, georeference = georeferenced(
-        path, photos, None, IDENTITY, definition,
-        f"Metashape's alignment of {len(photos)} photos")
-    return project_scene(path, path.parent, files, placed, georeference=georeference, notes=notes)
-
-
-def _chunk(path: Path) -> Element:
-    chunks = list(root_of(read_regular(path)).iter("chunk"))
-    if len(chunks) != 1:
-        raise ValueError(f"it has {len(chunks)} chunks, and one is read")
-    return chunks[0]
+        chunks = list(root_of(read_regular(path)).iter("chunk"))
+        if len(chunks) != 1:
+            raise ValueError(f"it has {len(chunks)} chunks, and one is read")
+        used, notes = _aligned(chunks[0])
+        sensors = {sensor.get("id", ""): sensor for sensor in chunks[0].iter("sensor")}
+        to_world = _transforms(chunks[0])
+        photos = [_photo(camera, sensors, to_world, *found) for camera, found in zip(
+            used, files.found(camera.get("label", "") for camera in used))]
+        definition = (chunks[0].findtext("reference") or "").strip()
+    place = None if not definition or is_local(definition) else OnEarth(
+        IDENTITY, definition, "Metashape")
+    return project_scene(path, files, path.parent, photos, place=place, notes=notes)
 
 
 def _aligned(chunk: Element) -> tuple[list[Element], tuple[str, ...]]:
@@ -110,53 +90,52 @@ def _aligned(chunk: Element) -> tuple[list[Element], tuple[str, ...]]:
     return used, (note,) if left else ()
 
 
-def _transforms(chunk: Element) -> Transforms:
-    found: dict[str, Similarity] = {}
+def _transforms(chunk: Element) -> dict[str, Similarity]:
+    """The similarities to the world by the ids of components, each part of which may be missing;
+    "" is that of the chunk."""
+    found = {}
     for component in [chunk, *chunk.iterfind("components/component")]:
         transform = component.find("transform")
-        if transform is not None:
-            found["" if component is chunk else component.get("id", "")] = _similarity(transform)
-    return Transforms(found)
+        if transform is None:
+            continue
+        scale, rotation, translation = (
+            numbers(transform.findtext(key) or default, len(default.split()), key)
+            for key, default in (("scale", "1"), ("rotation", "1 0 0 0 1 0 0 0 1"),
+                                 ("translation", "0 0 0")))
+        if not scale[0] > 0:
+            raise ValueError("scale is not positive")
+        found["" if component is chunk else component.get("id", "")] = Similarity(
+            float(scale[0]), rotation.reshape(3, 3), translation)
+    return found
 
 
-def _similarity(transform: Element) -> Similarity:
-    """A similarity, each part of which may be missing."""
-    scale = parsed(transform.findtext("scale") or "1", "scale")
-    if not scale > 0:
-        raise ValueError("scale is not positive")
-    rotation = numbers(transform.findtext("rotation") or "1 0 0 0 1 0 0 0 1", 9, "rotation")
-    return Similarity(scale, rotation.reshape(3, 3), numbers(
-        transform.findtext("translation") or "0 0 0", 3, "translation"))
-
-
-def _photo(camera: Element, sensors: Mapping[str, Element], transforms: Transforms,
-           files: PhotoFiles) -> PosedPhoto:
-    label = camera.get("label", "")
-    name, source = files.find(label)
+def _photo(camera: Element, sensors: Mapping[str, Element], to_world: Mapping[str, Similarity],
+           name: str, source: Path) -> PosedPhoto:
     try:
         pose = numbers(camera.findtext("transform") or "", 16, "transform").reshape(4, 4)
-        world = transforms.of(camera)
+        world = to_world.get(camera.get("component_id", ""), to_world.get("", IDENTITY))
         if camera.get("sensor_id", "") not in sensors:
             raise ValueError("its sensor is missing")
         return PosedPhoto(name, source, _optics(sensors[camera.get("sensor_id", "")]),
-                            (world.rotation @ pose[:3, :3]).T, world(pose[:3, 3]))
+                          (world.rotation @ pose[:3, :3]).T, world(pose[:3, 3]))
     except ValueError as error:
-        raise ValueError(f"camera {label[:80]}: {error}") from None
+        raise ValueError(f"camera {camera.get('label', '')[:80]}: {error}") from None
 
 
 def _optics(sensor: Element) -> Optics:
     kind = sensor.get("type", "frame")
     if kind not in ("frame", "fisheye"):
         raise ValueError(f"sensors of type {kind[:40]} are not read; export in COLMAP's format")
-    calibration = next(_calibrations(sensor), None)
-    if calibration is None:
+    calibrations = sorted(sensor.findall("calibration"),
+                          key=lambda each: each.get("class") != "adjusted")
+    if not calibrations:
         raise ValueError("its sensor has no calibration")
-    size = calibration.find("resolution")
-    size = sensor.find("resolution") if size is None else size
-    if size is None:
+    sizes = [each for each in (calibrations[0].find("resolution"), sensor.find("resolution"))
+             if each is not None]
+    if not sizes:
         raise ValueError("its sensor has no resolution")
-    width, height = (pixels(parsed(size.get(key), key), key) for key in ("width", "height"))
-    value = {key: parsed(calibration.findtext(key) or "0", key) for key in COEFFICIENTS}
+    width, height = (pixels(parsed(sizes[0].get(key), key), key) for key in ("width", "height"))
+    value = {key: parsed(calibrations[0].findtext(key) or "0", key) for key in COEFFICIENTS}
     focal = value["f"] + value["b1"], value["f"]
     centre = width / 2 + value["cx"], height / 2 + value["cy"]
     k1, k2, k3, k4 = (value[f"k{number}"] for number in range(1, 5))
@@ -167,10 +146,3 @@ def _optics(sensor: Element) -> Optics:
         return brown((width, height), focal, centre, (k1, k2, k3, k4), (value["p2"], value["p1"]))
     return Optics((width, height), focal, centre, ("THIN_PRISM_FISHEYE", (
         *focal, *centre, k1, k2, value["p2"], value["p1"], k3, k4, 0.0, 0.0)))
-
-
-def _calibrations(sensor: Element) -> Iterator[Element]:
-    """The calibrations of a sensor, adjusted ones first."""
-    found = sensor.findall("calibration")
-    yield from (each for each in found if each.get("class") == "adjusted")
-    yield from (each for each in found if each.get("class") != "adjusted")

@@ -10,8 +10,6 @@ its documentation leaves a square out.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,12 +21,10 @@ from scipy.spatial.transform import Rotation
 from clsplat.io.fields import number, numbers, pixels, reading, table, tables
 from clsplat.io.georeference.earth import topocentric
 from clsplat.io.photos.images import image_size
-from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 from clsplat.io.scenes.posed import Cloud, Optics, PosedPhoto, brown
-from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
-from clsplat.io.scenes.projects.scene import georeferenced, project_scene
+from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene
 from clsplat.scene import Scene
 
 # ODM keeps OpenSfM's own result beside one that it has moved onto its map
@@ -68,19 +64,12 @@ def read_opensfm(path: Path, images: str = "") -> Scene:
         record, notes = _largest(path)
         shots, cameras, points = (table(record.get(key, {}), key)
                                   for key in ("shots", "cameras", "points"))
-        found = [files.find(name) for name in shots]
-        check_present([source for _, source in found])
-        photos = [_photo(shots[shot], cameras, name, source)
-                  for shot, (name, source) in zip(shots, found)]
+        photos = [_photo(shots[shot], cameras, *found)
+                  for shot, found in zip(shots, files.found(shots))]
         cloud = _points(points, path.parent, list(shots))
         reference = _reference(path, record)
-    if reference is None:
-        return project_scene(path, folder, files, photos, cloud, z_is_up=True, notes=notes)
-    placed, cloud, georeference = georeferenced(
-        path, photos, cloud, topocentric(*reference), "",
-        f"OpenSfM's alignment of {len(photos)} photos")
-    return project_scene(path, folder, files, placed, cloud, georeference=georeference,
-                         z_is_up=True, notes=notes)
+        place = reference and OnEarth(topocentric(*reference), "", "OpenSfM")
+    return project_scene(path, files, folder, photos, cloud, place=place, z_is_up=True, notes=notes)
 
 
 def _largest(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
@@ -135,27 +124,20 @@ def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> Optics:
 def _points(points: Mapping[str, Any], folder: Path, shots: list[str]) -> Cloud | None:
     if not points:
         return None
-    positions, colours = np.empty((len(points), 3)), np.empty((len(points), 3))
-    for row, (name, point) in enumerate(points.items()):
-        point = table(point, f"point {name[:40]}")
-        positions[row] = numbers(point.get("coordinates"), 3, f"point {name[:40]}")
-        colours[row] = numbers(point.get("color"), 3, f"the colour of point {name[:40]}")
+    rows = [[numbers(table(point, f"point {name[:40]}").get(key), 3, f"{key} of point {name[:40]}")
+             for key in ("coordinates", "color")] for name, point in points.items()]
+    positions, colours = np.array(rows).transpose(1, 0, 2)
     tracks = folder / TRACKS
     return Cloud(positions, colours.clip(0, 255).round().astype(np.uint8),
-                         _observations(tracks, list(points), shots) if tracks.is_file() else None)
+                 _observations(tracks, list(points), shots) if tracks.is_file() else None)
 
 
 def _observations(path: Path, points: list[str], shots: list[str]) -> NDArray[np.int64]:
     """int64[M, 2], rows (point, shot): columns 1 (shot) and 2 (point) of tracks.csv."""
-    point = {name: row for row, name in enumerate(points)}
-    shot = {name: row for row, name in enumerate(shots)}
-    text = io.StringIO(read_regular(path).decode("utf-8", "replace"))
-    try:
-        rows = [(point[row[1]], shot[row[0]])
-                for row in csv.reader(text, delimiter="\t", quoting=csv.QUOTE_NONE)
-                if len(row) > 2 and row[0] in shot and row[1] in point]
-    except csv.Error as error:
-        raise ValueError(f"{TRACKS}: {reason(error)}") from None
+    point, shot = ({name: row for row, name in enumerate(names)} for names in (points, shots))
+    lines = read_regular(path).decode("utf-8", "replace").split("\n")
+    rows = [(point[row[1]], shot[row[0]]) for row in (line.split("\t") for line in lines)
+            if len(row) > 2 and row[0] in shot and row[1] in point]
     return np.array(rows, np.int64).reshape(-1, 2)
 
 

@@ -2,16 +2,21 @@
 
 Format: https://pix4d.github.io/opf-spec. The project (.opf) lists items, whose resources are JSON
 files: the photos (camera list), the sizes of their sensors (input cameras), calibrated cameras, the
-coordinate system (scene reference frame), and the sparse points (tracks, `opf_points.py`).
+coordinate system (scene reference frame), and the sparse points (tracks).
 Coordinates are east, north and up; a shift leads from map coordinates to them. `orientation_deg` is
 R = Rx(omega) Ry(phi) Rz(kappa), camera to world, with camera axes right, up, back. Pixels are
 COLMAP's. Radial and tangential distortion are in OpenCV's order. A fisheye has with t = 2 / pi *
 (angle from the axis), rho = p0 + p1 t + p2 t^2 + ..., and its image [c d; e f] rho (x, y) / r.
+
+Points are glTF 2.0 with buffers in files beside it. A node's matrix (column-major) leads from its
+points to glTF's axes, in which y is up; OPF's have z up. The extension OPF_mesh_primitive_matches
+lists the photos that show a point: a packed pair of 40 bits (the first of its matches) and 24 bits
+(their number), and a photo for each match.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
@@ -21,24 +26,25 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from clsplat.georeference import Georeference
-from clsplat.io.fields import number, numbers, pixels, reading, table, tables
+from clsplat.io.fields import number, numbers, pixels, reading, table, tables, text
 from clsplat.io.georeference.crs import is_local, project_crs
+from clsplat.io.models.gltf import accessor
 from clsplat.io.photos.images import image_size
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
-from clsplat.io.regular import read_regular
-from clsplat.io.scenes.posed import FLIPPED, Optics, PosedPhoto, brown, only
-from clsplat.io.scenes.projects.opf_points import read_points
-from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
-from clsplat.io.scenes.projects.scene import project_scene
+from clsplat.io.regular import open_regular, read_regular
+from clsplat.io.scenes.posed import FLIPPED, Cloud, Optics, PosedPhoto, brown, only
+from clsplat.io.scenes.projects.scene import PhotoFiles, project_scene
 from clsplat.scene import Scene
 
 SUFFIX = ".opf"
 FORMAT = "application/opf-{}+json"
 VERSIONS = ("0", "1")  # before the first point: drafts of the format, and itself
 POINTS = "model/gltf+json"
+MATCHES = "OPF_mesh_primitive_matches"
+OFFSET_BITS = 40  # of the first of a point's matches
+Z_UP = np.array([(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)])  # from axes with y up
 COEFFICIENTS = 4  # of a fisheye that COLMAP's OPENCV_FISHEYE has
-UNIT = np.ones(3)
 
 
 def find_opf(path: Path) -> Path | None:
@@ -62,16 +68,16 @@ def read_opf(path: Path, images: str = "") -> Scene:
         calibrated = project.object("calibrated-cameras")
         cameras = {_number(each): each for each in _objects(calibrated, "cameras")}
         found = _find_photos(project, files, cameras)
-        check_present([source for _, source in found.values()])
         sensors = {_number(each): each for each in _objects(calibrated, "sensors")}
         sizes = _sizes(project)
         photos = [_photo(cameras[number], sensors, sizes, name, source)
                   for number, (name, source) in found.items()]
-        tracks = project.tracks()
-        points = tracks and read_points(tracks, list(found))
+        # of the calibration, or of a point cloud
+        tracks = project.paths(POINTS, "calibration") or project.paths(POINTS, "point_cloud")
+        points = _points(tracks[0], list(found)) if tracks else None
         georeference, notes = _georeference(project, len(photos))
-    return project_scene(path, path.parent, files, photos, points or None,
-                         georeference=georeference, z_is_up=True, notes=notes)
+    return project_scene(path, files, path.parent, photos, points, place=georeference,
+                         z_is_up=True, notes=notes)
 
 
 class _Project:
@@ -103,11 +109,6 @@ class _Project:
         except (OSError, ValueError) as error:
             raise ValueError(f"{paths[0].name[:80]}: {reason(error)}") from None
 
-    def tracks(self) -> Path | None:
-        """The file of the sparse points of the calibration, or of a point cloud."""
-        found = self.paths(POINTS, "calibration") or self.paths(POINTS, "point_cloud")
-        return found[0] if found else None
-
 
 def _objects(record: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
     return tables(record.get(key, []), key)
@@ -130,10 +131,7 @@ def _path_of(uri: object) -> str:
     parts = urlsplit(uri)
     if parts.scheme not in ("", "file"):
         raise ValueError(f"{uri[:80]!r} is not a file")
-    path = unquote(parts.path)
-    if "\0" in path:
-        raise ValueError("a uri is not valid text")
-    return path
+    return unquote(parts.path)
 
 
 def _find_photos(project: _Project, files: PhotoFiles, cameras: Mapping[int, object]
@@ -146,7 +144,8 @@ def _find_photos(project: _Project, files: PhotoFiles, cameras: Mapping[int, obj
     missing = set(cameras) - set(listed)
     if missing:
         raise ValueError(f"camera {min(missing)} has no photo")
-    return {number: files.find(_path_of(listed[number]), base) for number in cameras}
+    return dict(zip(cameras, files.found(
+        (_path_of(listed[number]) for number in cameras), base)))
 
 
 def _sizes(project: _Project) -> dict[int, tuple[int, int]]:
@@ -207,6 +206,85 @@ def _optics(internals: object, size: tuple[int, int]) -> Optics:
                   ("OPENCV_FISHEYE", (focal_x, focal_y, x, y, *ks.tolist())))
 
 
+def _points(path: Path, cameras: Sequence[int]) -> Cloud | None:
+    """The points of a glTF file, with observations by these photos; None if it has none."""
+    try:
+        document = object_of(read_regular(path))
+        nodes = document["scenes"][document.get("scene", 0)].get("nodes", [])
+        clouds = [_node(path.parent, document, document["nodes"][node], cameras) for node in nodes]
+    except (ValueError, TypeError, AttributeError, LookupError, OverflowError) as error:
+        raise ValueError(f"{path.name[:80]}: {reason(error)}") from None
+    positions = [cloud.positions for cloud in clouds]
+    if not sum(map(len, positions)):
+        return None
+    begins = np.cumsum([0, *map(len, positions)])
+    colours = [cloud.colours for cloud in clouds if cloud.colours is not None]
+    observations = [cloud.observations + (begin, 0) for cloud, begin in zip(clouds, begins)
+                    if cloud.observations is not None]
+    return Cloud(np.concatenate(positions),
+                 np.concatenate(colours) if len(colours) == len(clouds) else None,
+                 np.concatenate(observations) if len(observations) == len(clouds) else None)
+
+
+def _node(folder: Path, document: dict[str, Any], node: Mapping[str, Any], cameras: Sequence[int]
+          ) -> Cloud:
+    """The points of a node of the scene."""
+    def content(buffer: dict[str, Any]) -> NDArray[np.uint8]:
+        uri = unquote(text(buffer.get("uri"), "the uri of a buffer"))
+        if uri.startswith("data:"):
+            raise ValueError("a buffer is not in a file")
+        with open_regular(folder / uri) as file:
+            return np.memmap(file, np.uint8, "r")
+
+    def values(number: int, width: int, kind: str) -> NDArray[Any]:
+        found = accessor(document, number, width, content)
+        if found.dtype != kind:
+            raise ValueError(f"accessor {number} is not of the right component type")
+        return found
+
+    primitive, = document["meshes"][node["mesh"]]["primitives"]
+    attributes, extensions = primitive["attributes"], primitive.get("extensions", {})
+    matrix = numbers(node.get("matrix", np.eye(4).ravel().tolist()), 16, "matrix")
+    matrix = matrix.reshape(4, 4, order="F")
+    local = values(attributes["POSITION"], 3, "<f4")
+    if not np.isfinite(local).all():
+        raise ValueError("a position is not finite")
+    positions = (local.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]) @ Z_UP.T
+    colours = observations = None
+    if "COLOR_0" in attributes:
+        colours = np.ascontiguousarray(values(attributes["COLOR_0"], 4, "u1")[:, :3])
+        if len(colours) != len(positions):
+            raise ValueError("there are more or less colours than points")
+    if MATCHES in extensions:
+        matches = extensions[MATCHES]
+        ranges = values(matches["pointIndexRanges"], 2, "<u4")
+        if len(ranges) != len(positions):
+            raise ValueError("there are more or less ranges of matches than points")
+        observations = _observations(matches["cameraUids"], values(
+            matches["cameraIds"], 1, "<u4")[:, 0], ranges, cameras)
+    return Cloud(positions, colours, observations)
+
+
+def _observations(uids: Sequence[object], indices: NDArray[Any], ranges: NDArray[Any],
+                  cameras: Sequence[int]) -> NDArray[np.int64]:
+    """int64[M, 2], rows (point, photo), of the ids of cameras, their indices and packed ranges."""
+    packed = ranges[:, 0].astype(np.uint64) | ranges[:, 1].astype(np.uint64) << np.uint64(32)
+    begins = (packed & np.uint64((1 << OFFSET_BITS) - 1)).astype(np.int64)
+    counts = (packed >> np.uint64(OFFSET_BITS)).astype(np.int64)
+    if (begins + counts > len(indices)).any() or counts.sum() > len(indices):
+        raise ValueError("the ranges of matches are beyond their number")
+    if len(indices) and indices.max() >= len(uids):
+        raise ValueError("a match has a camera that is missing")
+    place = {uid: row for row, uid in enumerate(cameras)}
+    photo_of = np.array([place.get(uid if isinstance(uid, int) else -1, -1) for uid in uids],
+                        np.int64)
+    points = np.repeat(np.arange(len(ranges)), counts)
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    photos = photo_of[indices[begins.repeat(counts) + within]] if len(points) else points
+    rows: NDArray[np.int64] = np.stack([points, photos], axis=1)[photos >= 0]
+    return rows
+
+
 def _georeference(project: _Project, photos: int
                   ) -> tuple[Georeference | None, tuple[str, ...]]:
     """The georeference, if the project has a CRS in metres, and notes."""
@@ -222,7 +300,7 @@ def _georeference(project: _Project, photos: int
     if is_local(definition):
         return None, ()
     horizontal = project_crs(_with_authority(definition))
-    if not horizontal or base.get("swap_xy") or (scale != UNIT).any():
+    if not horizontal or base.get("swap_xy") or (scale != 1).any():
         return None, ("the project's CRS is not a projected one in metres, east and north: its "
                       "coordinates are kept, without a map's",)
     east, north, height = (-shift).tolist()

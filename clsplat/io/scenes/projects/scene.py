@@ -1,10 +1,14 @@
-"""A project of another photogrammetry program as a scene: what its readers have in common."""
+"""What the readers of other programs' projects have in common: photos, wherever they were moved,
+and the scene that is built of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -12,37 +16,143 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.georeference import Georeference
+from clsplat.io.fields import CONTROL
 from clsplat.io.georeference.crs import project_crs
 from clsplat.io.georeference.earth import on_map
-from clsplat.io.reason import reason
+from clsplat.io.reason import MOST_CHARACTERS, reason
 from clsplat.io.scenes.posed import Cloud, PosedPhoto, posed_scene, read_cloud
-from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
-from clsplat.io.scenes.sources import IMAGES
+from clsplat.io.scenes.sources import IMAGES, PHOTO_SUFFIXES, photo_folder
 from clsplat.placement.similarity import Similarity
 from clsplat.scene import Scene
 
+SCHEME = "file://"
 
-def project_scene(path: Path, folder: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
-                  points: Cloud | None = None, *, georeference: Georeference | None = None,
+
+class PhotoFiles:
+    """The photos of a project.
+
+    Attributes
+    ----------
+    folder : of the photos: the one given as --images, else images/ of the project, else the
+        project's own folder.
+    """
+
+    def __init__(self, project: Path, images: str = "") -> None:
+        folder = photo_folder(project, images)
+        self.folder = folder if images or folder.is_dir() else project
+        self._given = bool(images)
+        self._outside: dict[str, Path] = {}  # photos that are not below the folder, by their names
+
+    def found(self, names: Iterable[object], base: Path | None = None) -> list[tuple[str, Path]]:
+        """Find photos as `find` does; InputError if some are missing."""
+        found = [self.find(name, base) for name in names]
+        missing = [source for _, source in found if not os.path.isfile(source)]
+        if missing:
+            raise InputError(f"{_short(missing[0])}: no such image ({len(missing)} of {len(found)} "
+                             "photos of the project are missing); put them there, or name their "
+                             "folder with --images")
+        return found
+
+    def find(self, name: object, base: Path | None = None) -> tuple[str, Path]:
+        """Find a photo.
+
+        Parameters
+        ----------
+        name : as the project has it: a path of this or another machine, a file name, or a label
+            without suffix.
+        base : the folder to which a relative path refers, besides the folder of photos.
+
+        Returns
+        -------
+        The name of its view, relative to the folder of photos or else with as many folders as
+        distinguish it from others, and its path, which does not exist if no file fits.
+        """
+        if not isinstance(name, str) or CONTROL.search(name):
+            raise ValueError("the name of a photo is not valid text")
+        parts = [part for part in PurePosixPath(
+            name.removeprefix(SCHEME).replace("\\", "/")).parts if part not in ("/", "//", "..")]
+        if not parts:
+            raise ValueError(f"{name[:80]!r} is not the name of a photo")
+        path = self._existing(parts, name, base) or self._below(parts) or self.folder / parts[-1]
+        # what is named ../other/a.jpg is not below the folder
+        place, folder = (Path(os.path.normpath(each)) for each in (path, self.folder))
+        if place.is_relative_to(folder):
+            return place.relative_to(folder).as_posix(), path
+        names = ("/".join(parts[number:]) for number in reversed(range(len(parts))))
+        return next((short for short in names
+                     if self._outside.setdefault(short, path) == path), name), path
+
+    def _existing(self, parts: list[str], name: str, base: Path | None) -> Path | None:
+        """The file at the path itself, or at its end below the folder of photos."""
+        places = [self.folder.joinpath(*parts[number:]) for number in range(len(parts))]
+        if not self._given:  # a folder that the user gives holds all photos
+            stored = Path(name.removeprefix(SCHEME))
+            places += [base / stored if base else stored, stored]
+        return next((place for place in places if os.path.isfile(place)), None)
+
+    def _below(self, parts: list[str]) -> Path | None:
+        """The only file of this name in folders of the photo folder, or that with most of the
+        folders in the name; the suffix may be missing."""
+        def shared(path: Path) -> int:
+            pairs = zip(path.parts[-2::-1], parts[-2::-1])
+            equal = [own.casefold() == named.casefold() for own, named in pairs]
+            return (equal + [False]).index(False)
+        found = sorted(self._files.get(parts[-1].casefold(), []), key=shared, reverse=True)
+        if len(found) > 1 and shared(found[0]) == shared(found[1]):
+            raise InputError(f"{self.folder}: several photos fit {parts[-1][:80]!r}: "
+                             f"{_short(found[0])}, {_short(found[1])}; name the folder of the "
+                             "right ones with --images")
+        return found[0] if found else None
+
+    @cached_property
+    def _files(self) -> dict[str, list[Path]]:
+        """The photos below the folder, by file name and by stem, in lower case."""
+        files: dict[str, list[Path]] = {}
+        for place, folders, names in os.walk(self.folder):
+            folders.sort()
+            for path in (Path(place) / name for name in sorted(names)):
+                if path.suffix.lower() in PHOTO_SUFFIXES:
+                    for key in {path.name.casefold(), path.stem.casefold()}:
+                        files.setdefault(key, []).append(path)
+        return files
+
+
+def _short(path: Path) -> str:
+    return str(path)[:MOST_CHARACTERS]
+
+
+class OnEarth(NamedTuple):
+    """Where a project lies: the similarity to geocentric coordinates, its CRS, which is used if it
+    is projected, in metres (else UTM), and the program that found it."""
+
+    to_earth: Similarity
+    definition: str
+    program: str
+
+
+def project_scene(path: Path, files: PhotoFiles, folder: Path, photos: Sequence[PosedPhoto],
+                  points: Cloud | None = None, *, place: OnEarth | Georeference | None = None,
                   z_is_up: bool = False, notes: Sequence[str] = ()) -> Scene:
     """Build the scene of a project and recentre it; see `posed_scene`.
 
     Parameters
     ----------
     path : the file that messages name.
-    folder : of the project.
-    files : where the photos were searched.
-    points : None: those of points3D.ply in the folder, else sampled where two cameras see.
+    files, folder : where the photos were searched, and that of the project.
+    photos, points : in the project's coordinates. Without points: those of points3D.ply in the
+        folder, else sampled where two cameras see.
+    place : on the earth, to which photos and points are moved; or a georeference that they have.
     """
     if not photos:
         raise InputError(f"{path}: no photo of the project has a pose; align the photos first, "
                          "and export again")
-    check_present([photo.source for photo in photos])
+    if isinstance(place, OnEarth):
+        photos, points, place = _on_map(path, photos, points, place)
     if points is None:
         points = read_cloud(folder, None, np.eye(3, 4))
-        if points is not None and georeference is not None:
-            points = replace(points, positions=_near(photos, points.positions, georeference))
-    return posed_scene(path, folder, photos, points, georeference=georeference, z_is_up=z_is_up,
+        if points is not None and place is not None:
+            points = replace(points, positions=_near(photos, points.positions, place))
+    return posed_scene(path, folder, photos, points, georeference=place, z_is_up=z_is_up,
                        smaller=files.folder if files.folder.name != IMAGES else None, notes=notes)
 
 
@@ -57,26 +167,14 @@ def _near(photos: Sequence[PosedPhoto], positions: NDArray[np.float64],
     return shifted if away[1] < away[0] else positions
 
 
-def georeferenced(path: Path, photos: Sequence[PosedPhoto], points: Cloud | None,
-                  to_earth: Similarity, definition: str, source: str
-                  ) -> tuple[Sequence[PosedPhoto], Cloud | None, Georeference | None]:
-    """Move photos and points onto a map.
-
-    Parameters
-    ----------
-    to_earth : to geocentric coordinates.
-    definition : of the project's CRS, which is used if it is projected, in metres; else UTM.
-
-    Returns
-    -------
-    Photos and points in metres, east, north and up; the georeference, None without photos.
-    """
-    if not photos:
-        return photos, points, None
+def _on_map(path: Path, photos: Sequence[PosedPhoto], points: Cloud | None, place: OnEarth
+            ) -> tuple[Sequence[PosedPhoto], Cloud | None, Georeference]:
+    """Photos and points in metres, east, north and up, and the georeference."""
     centres = np.array([photo.position for photo in photos])
     try:
         similarity, georeference = on_map(
-            to_earth, centres, project_crs(definition, north_first=True), source)
+            place.to_earth, centres, project_crs(place.definition, north_first=True),
+            f"{place.program}'s alignment of {len(photos)} photos")
     except ValueError as error:
         raise InputError(f"{path}: cannot be placed on the earth ({reason(error)}); export it "
                          "again, or without a coordinate system") from None

@@ -3,7 +3,7 @@
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
+from clsplat.io.scenes.projects.scene import PhotoFiles
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def test_missing_photos(project):
     name, path = PhotoFiles(project).find("images/d.jpg")
     assert (name, path) == ("d.jpg", project / "images/d.jpg")
     with pytest.raises(InputError, match=r"d.jpg: no such image \(1 of 2 .*--images"):
-        check_present([path, project / "images/2/b.tif"])
+        PhotoFiles(project).found(["images/d.jpg", "b"])
 
 
 @pytest.mark.parametrize("name", [None, 3, "", "a\nb", "/", ".."])
