@@ -5,18 +5,21 @@ finite number or cannot be true is None.
 """
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from clsplat.io.photos.photo import Photo, opened
+from clsplat.io.regular import open_regular
 
 MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # of EXIF's FocalPlaneResolutionUnit
 FILM_DIAGONAL = math.hypot(36, 24)  # millimetres
 HIGHEST = 100_000.0  # metres; no camera with GPS is farther from sea level
 UNIT_DEGREES = (1.0, 1 / 60, 1 / 3600)
 DJI = "drone-dji:"
+XMP_BYTES = 1 << 18  # from the beginning of a file, among which XMP is
 # standard deviations of a position, east, north and up: of DJI's RTK, and Pix4D's for other makers
 GPS_STD = ([f"{DJI}RtkStd{axis}" for axis in ("Lon", "Lat", "Hgt")],
            [f"Camera:GPS{axis}Accuracy" for axis in ("XY", "XY", "Z")])
@@ -88,7 +91,7 @@ class PhotoMetadata:
 def read_metadata(path: str | Path) -> PhotoMetadata:
     """Read the metadata of a photo from its header; InputError if the file is none."""
     with opened(path) as photo:
-        latitude, longitude = _position(photo)
+        latitude, longitude = _position(photo, path)
         return PhotoMetadata(
             photo.width, photo.height,
             photo.orientation if photo.orientation in range(1, 9) else 1,
@@ -130,13 +133,13 @@ def _words(photo: Photo, *names: str) -> str:
     return " ".join(filter(None, (_text(photo, name) for name in names)))
 
 
-def _position(photo: Photo) -> tuple[float, float] | tuple[None, None]:
+def _position(photo: Photo, path: str | Path) -> tuple[float, float] | tuple[None, None]:
     """Latitude and longitude, or twice None: of EXIF or, if that has none or whole seconds with
     which it agrees, of XMP."""
     exif = _degrees(photo, "Latitude", "S", 90), _degrees(photo, "Longitude", "W", 180)
-    longitudes = [_number(photo, DJI + name, 180)  # DJI's older programs misspell it
+    longitudes = [_exact(photo, path, DJI + name, 180)  # DJI's older programs misspell it
                   for name in ("GpsLongitude", "GpsLongtitude")]
-    xmp = (_number(photo, DJI + "GpsLatitude", 90),
+    xmp = (_exact(photo, path, DJI + "GpsLatitude", 90),
            next((value for value in longitudes if value is not None), None))
     is_whole = not any(part % 1 for name in ("Latitude", "Longitude")
                        for part in _numbers(photo, "GPS:" + name))
@@ -149,6 +152,17 @@ def _position(photo: Photo) -> tuple[float, float] | tuple[None, None]:
     if latitude is None or longitude is None or latitude == longitude == 0:
         return None, None
     return latitude, longitude
+
+
+def _exact(photo: Photo, path: str | Path, name: str, limit: float) -> float | None:
+    """A number of XMP, of which OpenImageIO keeps seven digits: half a metre of a longitude."""
+    value = _number(photo, name, limit)
+    if value is None:
+        return None
+    with open_regular(path) as file:
+        found = re.search(rf"{name}\s*(?:=\s*[\"']|>)\s*([-+.\d]+)".encode(), file.read(XMP_BYTES))
+    digits = _finite([found[1]]) if found else []
+    return digits[0] if digits and abs(digits[0] - value) < 1e-4 else value
 
 
 def _degrees(photo: Photo, name: str, negative: str, limit: float) -> float | None:
