@@ -78,11 +78,7 @@ def decided_by(coarse: RunFolder) -> dict[str, Any]:
 def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[str, Any]:
     """{option: value} of every block, which has training views only, so that none is held out.
 
-    Parameters
-    ----------
-    given : those of the whole, with the steps of the block.
-    decided : those of `decided_by`.
-    """
+    `given` : those of the whole, with the steps of the block; `decided` : see `decided_by`."""
     given = {name: value for name, value in given.items() if name != "images"}  # it has links
     depth = {"depth": DEPTH} if given.get("depth") else {}
     return {**given, **depth, **decided, "coarse": False, "test_every": 0, "test_offset": 0}
@@ -114,23 +110,13 @@ class BlockTraining:
 
     def run(self, progress: SilentProgress | None = None, until: int = 0, alone: bool = False,
             patience: float = 0.0) -> str:
-        """Train to the end, from the start or from the last checkpoint of the run.
+        """Train to the end, from the start or from the last checkpoint of the run, or to an
+        exchange with blocks that have not come as far; `until`, `alone` : see `BlockJob`;
+        `patience` : seconds to wait for another process that trains the block.
 
-        It stops before, where it exchanges gaussians with blocks that have not come as far.
-
-        Parameters
-        ----------
-        progress : receives steps, messages and phases.
-        until, alone : see `BlockJob`.
-        patience : seconds to wait for another process that trains the block.
-
-        Returns
-        -------
-        "finished", "was finished before", at which exchange it stops, or for which blocks it waits.
-
-        Raises
-        ------
-        InputError : for a run that was begun with other options, or an exchange that there is not.
+        Returns "finished", "was finished before", at which exchange it stops, or for which blocks
+        it waits. InputError for a run that was begun with other options, or an exchange that there
+        is not.
         """
         block, run, exchanges = self.block, self.folder, [] if alone else self.block.exchanges
         if until > len(exchanges):
@@ -212,17 +198,14 @@ def train_blocks(city: CityFolder, workers: Workers, device: Device,
     """Train the blocks that are not finished, the longest first; return the outcome of every block.
 
     Where blocks exchange gaussians, a block goes on as soon as those with which it does so have
-    come as far. If one fails, they wait there, or go on alone.
+    come as far. If one fails, they wait there, or with `fill` go on alone.
 
     Parameters
     ----------
     workers : which train them.
     device : for trainings in this process.
-    progress : called with a title such as "block 2 of 9", for a training in this process; returns
-        the progress of that training.
-    ended : called with such a title and each outcome.
-    began : called with such a title and the name of a block that begins.
-    fill : whether blocks go on alone when another has failed.
+    progress : called with a title such as "block 2 of 9"; the progress of a training here.
+    ended, began : called with such a title, and an outcome, or the name of a block.
     """
     blocks = {block.path.name: block
               for block in sorted(city.blocks(), key=_expected_work, reverse=True)}

@@ -61,11 +61,8 @@ class City:
     def open(cls, folder: CityFolder, scene_path: Path | None = None, device: str = "") -> City:
         """A city that was begun, or that begins here with the coarse run in CITY/coarse.
 
-        Parameters
-        ----------
-        folder : its folder.
-        scene_path : where the scene is now, if it was moved.
-        device : its name; "": that of the options.
+        `scene_path` : where the scene is now, if it was moved; `device` : "" for that of the
+        options.
         """
         if begun := folder.has_record:
             record = folder.read(scene=str, options=dict)
@@ -92,11 +89,8 @@ class City:
     def begin(self) -> None:
         """Write the scene and the options of the whole into city.json.
 
-        Raises
-        ------
-        InputError : the folder holds a city of another scene, or one with other options; or the
-            network of `options.lpips` cannot be read; or the options correct poses.
-        """
+        InputError for a folder of another scene or with other options, for a network of
+        `options.lpips` that cannot be read, and for options that correct poses."""
         folder, options = self.folder, self.options
         if options.poses == "on":
             raise InputError("--poses on: is for single runs; the blocks of a city would correct "

@@ -128,14 +128,8 @@ def _distributed() -> Any:
 
 
 def _on_worker(job: Job, version: str, run: str) -> tuple[Any, str]:
-    """Run a job on a Dask worker; what it returned, or an Unfit, and the worker's address.
-
-    Parameters
-    ----------
-    job : the job.
-    version : of the clsplat that submitted it.
-    run : of which it is a part.
-    """
+    """Run a job of a `run` on a Dask worker, and return its result, or an Unfit, and the worker's
+    address; `version` : of the clsplat that submitted it."""
     worker = _distributed().get_worker()
 
     def stopping() -> bool:

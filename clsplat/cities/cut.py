@@ -46,16 +46,8 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions | None = Non
                     ) -> tuple[Partition, NDArray[np.integer]]:
     """Make the partition of a city whose coarse run is finished, and the folders of its blocks.
 
-    An existing partition and existing blocks stay as they are.
-
-    Parameters
-    ----------
-    partition_options : an existing partition must have been made with these, unless this is None.
-
-    Returns
-    -------
-    The partition, and the coarse gaussians that each block owns, [B].
-    """
+    Existing ones stay as they are, and the partition must have been made with these options, if any
+    are given. Returns the partition, and the coarse gaussians that each block owns, [B]."""
     folder, options, scene = city.folder, city.options, city.pinhole  # blocks are pinhole scenes
     coarse = Run.open(folder.coarse)
     small, gaussians = coarse.options, coarse.finished_model
@@ -131,14 +123,8 @@ def visits_of_blocks(partition: Partition, scene: Scene, gaussians: Gaussians,
 
     In proportion to the share of a view's gaussians that the block owns. So a block learns from
     what shows most of it, and the steps of all blocks together do not depend on how many blocks a
-    photo shows. No block takes more steps than one run does with its views.
-
-    Parameters
-    ----------
-    partition, scene : the whole.
-    gaussians, owner : of the coarse run, and the block of each, int[N].
-    together : the visits of all blocks, if none takes more steps than one run.
-    """
+    photo shows. No block takes more steps than one run does with its views; if none does, all take
+    `together` visits. `owner` : the block of each gaussian of the coarse run, int[N]."""
     shares = owned_shares(owner, gaussians.positions.astype(np.float64), scene.views,
                           scene.near_plane, len(partition.regions))
     found = []
@@ -152,11 +138,7 @@ def block_steps(city: City, steps: float, size: tuple[int, int], facts: SceneFac
                 ) -> dict[str, Any]:
     """The options, by name, of a block that takes this number of steps.
 
-    Parameters
-    ----------
-    size : (width, height) of its smallest training image, pixels.
-    facts : about the scene of the whole.
-    """
+    `size` : (width, height) of its smallest training image; `facts` : of the whole."""
     schedule = schedule_of(city.options.schedule)
     shrunk = dataclasses.replace(city.options, iterations=max(1, round(steps)), eval_at=(),
                                  eval_every=0, lpips="")
@@ -195,13 +177,8 @@ class DropTest:
     """1 - SSIM between renders of a view with all gaussians and with some; see `methods.citygs`.
 
     It is that of the training loss. The device compares both renders with the full one in 8 bits,
-    so what these lack is the same in both, and the difference of the two values is taken.
-
-    Parameters
-    ----------
-    gaussians : in the frame of the scene.
-    scene : at the size of the renders.
-    """
+    so what these lack is the same in both, and the difference of the two values is taken. The scene
+    is of the size of the renders, and the gaussians are in its frame."""
 
     def __init__(self, device: Device, gaussians: Gaussians, scene: Scene) -> None:
         self.device, self.scene, self.logits = device, scene, gaussians.opacity_logits
@@ -212,9 +189,8 @@ class DropTest:
     def __call__(self, tests: Iterable[tuple[int, NDArray[np.bool_]]]) -> Iterator[float]:
         """The change of each view without the gaussians where `keep` [N] is false.
 
-        Parameters
-        ----------
-        tests : (the index of a view, keep), all of a view in turn, as it is rendered once in full.
+        `tests` : (the index of a view, keep), all of a view in turn, as it is rendered once in
+        full.
         """
         latest, whole, itself = -1, None, 0.0
         for index, keep in tests:

@@ -61,12 +61,8 @@ def most_exchanges(steps: int) -> int:
 def write_owned(block: BlockFolder, own: BlockScene, number: int, saved: Saved | None) -> None:
     """Write what a block owns, with Adam's moments, unless that was done before.
 
-    Parameters
-    ----------
-    block, own : its folder, and the block as it was read.
-    number : of the exchange, from 1.
-    saved : the checkpoint at the exchange; None: that of the block's run is read.
-    """
+    `own` : the block as it was read; `number` : of the exchange, from 1; `saved` : the checkpoint
+    at the exchange; None: that of the block's run is read."""
     path = block.exchanged(number)
     if path.exists():
         return
@@ -107,10 +103,8 @@ def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder]
 
     Parameters
     ----------
-    block, read : no file of the exchange lacks; the block as it was read.
-    others : its `other_blocks`.
-    options : of its training.
-    number : of the exchange, from 1.
+    block, read, others : its folder, the block as it was read, and its `other_blocks`.
+    options, number : of its training; of the exchange, from 1.
     run : of the block, with a checkpoint at the exchange; its rows are in the block's file.
     """
     record = block.read()
@@ -146,8 +140,7 @@ class Owned:
 
     Attributes
     ----------
-    rows : arrays of a checkpoint with a row a gaussian, without their moments.
-    degree : of their spherical harmonics.
+    rows, degree : arrays of a checkpoint with a row a gaussian, without moments; of harmonics.
     frame : the unit and the offset of the block.
     """
 

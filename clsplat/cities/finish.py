@@ -56,12 +56,7 @@ def merged_city(city: City, fill: bool = False, progress: SilentProgress | None 
     Parameters
     ----------
     fill : see `merge.merge`.
-    progress : of the joint training.
-    joint : whether there is one, where the partition includes it.
-
-    Returns
-    -------
-    The blocks, with the gaussians of the joint training where there is one.
+    progress, joint : of the joint training; whether there is one, if the partition includes it.
 
     Raises
     ------
@@ -119,16 +114,9 @@ def evaluate_city(city: City, merged: Merged, against: Path | None = None
                   ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """Score the merged model on the held-out views, measure its seams, and write the report.
 
-    Parameters
-    ----------
-    merged : that of `merged_city`.
-    against : the PLY file of the reference for seams; None: that of the coarse model.
-
-    Returns
-    -------
-    The result of `evaluate_run`, None without held-out views; and the result of `find_seams`, by
-    the training views where none are held out, None for a single block.
-    """
+    `against` : the PLY file of the reference for seams; None: that of the coarse model. Returns the
+    result of `evaluate_run`, None without held-out views; and that of `find_seams`, by the training
+    views where none are held out, None for a single block."""
     folder, options = city.folder, city.options
     run, record = Run.open(folder.path), merge_record(folder)
     spent = {key: record[key] for key in (*SPENT, "level", "gaussians")}

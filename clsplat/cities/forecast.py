@@ -26,7 +26,6 @@ LEAST_MEASURED = 3  # steps of the coarse run, for the three numbers that `cost.
 # of the device's memory for parameters and moments: frames take as much again, photos a quarter,
 # and growth holds a part of the model twice for a moment
 MODEL_SHARE = 0.27
-TRIAL_WORTH = 600.0  # seconds of training, for which trial steps of half a minute are worth it
 COARSE_NOTE = "the coarse run, which tell it to a factor of two"
 DEVICES = (2, 3, 8)  # for which the end of the blocks is foretold
 LEAST_JOINT_STEPS = 450  # fewer are not worth it
@@ -41,12 +40,7 @@ def facts_of_whole(scene: Scene, options: SceneOptions) -> tuple[SceneFacts, int
 
 
 def expected_gaussians(facts: SceneFacts, options: ScheduledOptions) -> int:
-    """About how many gaussians the whole scene has at the end.
-
-    Parameters
-    ----------
-    facts : of the whole scene.
-    """
+    """About how many gaussians the whole scene, with these facts, has at the end."""
     limit, _ = schedule_of(options.schedule).planned_limit(options, facts)
     return max(facts.count, facts.pixels // PIXELS_PER_GAUSSIAN if limit is None else limit)
 
@@ -59,12 +53,7 @@ def gaussians_that_fit(device: Device, options: RenderingOptions) -> int:
 
 
 def makespan(work: Iterable[float], workers: int) -> float:
-    """When the last worker ends, if each takes the longest task that is left (Graham 1969).
-
-    Parameters
-    ----------
-    work : the time of each task.
-    workers : how many there are, at least 1.
+    """When the last of `workers` ends, if each takes the longest task that is left (Graham 1969).
     """
     ends = [0.0] * workers
     for task in sorted(work, reverse=True):
@@ -75,15 +64,9 @@ def makespan(work: Iterable[float], workers: int) -> float:
 def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) -> Table:
     """The start of each block of a city, and a forecast of its device memory and time.
 
-    The largest block is planned with real steps, the others in proportion to it: the time of a step
-    is taken as equal, since blocks see parts of photos of about the same size. Where the steps of
-    the coarse run tell that the blocks take less than TRIAL_WORTH, these steps have to do.
-
-    Parameters
-    ----------
-    device : of the steps; None: there is no forecast, only how the steps spread over workers.
-    counts : [B], coarse gaussians that each block owns.
-    """
+    The largest block is planned, the others in proportion to it: the time of a step is taken as
+    equal, since blocks see parts of photos of about the same size. `device` : None: there is no
+    forecast, only how the steps spread over workers; `counts` : [B], gaussians that blocks own."""
     records = [(block, block.read("own", "margin", "surroundings", "views"))
                for block in city.blocks()]
     steps = [record["options"]["iterations"] for _, record in records]
@@ -110,8 +93,6 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
     block, options = BlockScene.read(largest), block_options(largest)
     planned = Planned(block.scene, options, device, parts=block.parts(options.exposure == "on"))
     forecast = planned.forecast(known)
-    if known and forecast.seconds / forecast.steps * sum(steps) > TRIAL_WORTH:
-        known, forecast = [], planned.forecast()
     each = forecast.seconds / 60 / forecast.steps
     rows = [(*row, f"{forecast.gaussians * count / max(initial):,.0f}",
              f"{forecast.memory.total * count / max(initial) / MIB:,.0f}", f"{each * taken:.1f}")
@@ -129,25 +110,14 @@ def trains_jointly(facts: SceneFacts, photos: int, options: ScheduledOptions) ->
 
     Only where one run takes all the steps that its photos allow: with fewer, blocks gain more by
     steps of their own (docs/evidence/cities.md). Other schedules than sig are trained as they were
-    published, and a time budget is one of each block.
-
-    Parameters
-    ----------
-    facts : of the whole scene.
-    photos : number of training photos.
-    """
+    published, and a time budget is one of each block."""
     steps, most, _ = worthwhile_steps(options, facts, photos)
     return ("sig" in schedule_of(options.schedule).parts and not options.time_budget
             and steps == most and JOINT_STEPS * steps >= LEAST_JOINT_STEPS)
 
 
 def one_block_note(options: PartitionOptions, scene: Path) -> str:
-    """That a scene which fits the device in one block needs no city; empty for others.
-
-    Parameters
-    ----------
-    scene : its path as the user gave it.
-    """
+    """That a scene which fits the device in one block needs no city; empty for others."""
     if options.grid or options.several:
         return ""
     return (f"this device holds the whole model in one block: `clsplat train {scene}` trains it in "

@@ -59,14 +59,8 @@ class Job:
 
     def run(self, device: Device, progress: SilentProgress | None = None,
             stopping: Callable[[], bool] = never) -> Any:
-        """Do the work; the result is pickled.
-
-        Parameters
-        ----------
-        device : an open device.
-        progress : receives what is being done.
-        stopping : polled; once it returns true, the job saves its state and raises Interrupted.
-        """
+        """Do the work; the result is pickled. Once `stopping` returns true, save the state and
+        raise Interrupted."""
         raise NotImplementedError
 
 
@@ -88,14 +82,9 @@ def line_of(error: BaseException) -> str:
 
 @lru_cache(maxsize=1)
 def device_here(name: str, form: str) -> Device:
-    """The device of a worker, which stays open for the jobs that follow.
+    """The device of a worker, which stays open for the jobs that follow; CLSPLAT_DEVICE prevails.
 
-    Its kernels are compiled into a folder that no other process of this machine uses.
-
-    Parameters
-    ----------
-    name, form : of the device, see `choose_device`; CLSPLAT_DEVICE prevails.
-    """
+    Its kernels are compiled into a folder that no other process of this machine uses."""
     os.environ["POCL_CACHE_DIR"] = str(_own_kernel_cache())
     return choose_device(os.environ.get("CLSPLAT_DEVICE") or name, form=form)
 

@@ -35,26 +35,11 @@ from clsplat.training.progress import SilentProgress
 
 
 def train_jointly(city: City, merged: Merged, progress: SilentProgress | None = None) -> Merged:
-    """Train a city as a whole in CITY/joint, or continue that; return the result.
+    """Train a city as a whole in CITY/joint, or continue that.
 
-    That of another merged model, or of another partition without one, is removed.
-
-    Parameters
-    ----------
-    city : cut into blocks.
-    merged : its blocks.
-    progress : receives steps, messages and phases.
-
-    Returns
-    -------
-    The blocks with the gaussians that now lie in their cells; `merged` if the partition has no
-    joint training.
-
-    Raises
-    ------
-    Interrupted : it was stopped; the state is saved.
-    DeviceError : the device cannot hold the whole model.
-    """
+    That of another merged model, or of another partition without one, is removed. Returns the
+    blocks with the gaussians that now lie in their cells; `merged` if the partition has no joint
+    training. Raises Interrupted, with the state saved, and DeviceError for a model too large."""
     folder, scene = city.folder, city.scene
     given, run = folder.read_partition().get(JOINT), RunFolder(folder.joint)
     if not given:
@@ -107,14 +92,10 @@ def begin_with(city: City, merged: Gaussians) -> None:
 
 
 def joint_options(city: City, given: Any, count: int) -> TrainOptions:
-    """The options of the joint training. A limit of gaussians is one of each block, so the merged
-    model may have more; it does not grow then. The same views are held out as of one run.
+    """The options of the joint training, from those `given` in partition.json.
 
-    Parameters
-    ----------
-    given : {option: value}, from partition.json.
-    count : gaussians with which it begins.
-    """
+    A limit of gaussians is one of each block, so the merged model of `count` may have more; it does
+    not grow then. The same views are held out as of one run."""
     path = city.folder.path / PARTITION
     if not isinstance(given, dict):
         raise InputError(f"{path}: damaged ({JOINT} is {str(given)[:20]!r}); remove it, and make "

@@ -62,9 +62,8 @@ class Merged:
 
     Attributes
     ----------
-    gaussians : in the frame of the whole scene, block after block; none where the blocks were kept
-        elsewhere.
-    shares : one for each block, in the same order.
+    gaussians : in the frame of the whole scene, block after block; none if they were kept
+    elsewhere. shares : one for each block, in the same order.
     dropped : name of a view -> the reason why no block has it.
     path : the folder of the city.
     """
@@ -104,15 +103,12 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False,
           keep: Callable[[Gaussians], object] | None = None) -> Merged:
     """Merge the finished blocks of a city; `Merged.check` says whether the model has holes.
 
-    With `keep`, one block at a time is in memory; else several are read at the same time.
-
     Parameters
     ----------
     city, scene : its folder; the whole, as `read_scene` returns it.
     fill : take the coarse model's gaussians for blocks that are missing, unfinished or starved, but
         not for a block that another process trains at this moment.
-    keep : called with the gaussians of each block, which then are not in the result; None: they
-        are joined.
+    keep : called with the gaussians of each block, one at a time in memory; None: they are joined.
 
     Raises
     ------

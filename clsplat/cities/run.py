@@ -59,14 +59,7 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class Finished:
-    """A merged city.
-
-    Attributes
-    ----------
-    merged : its blocks.
-    evaluated : whether the model was evaluated; a tree is not.
-    scores, seams : as `finish.evaluate_city` returns them.
-    """
+    """A merged city; `evaluated` : a tree is not; `scores`, `seams` : see `evaluate_city`."""
 
     merged: Merged
     evaluated: bool = False
@@ -167,10 +160,8 @@ def cut_city(folder: CityFolder, partition: Mapping[str, Any], scene_path: Path 
              ) -> str:
     """Cut the scene of a city with a finished coarse run into blocks; the table of the blocks.
 
-    Parameters
-    ----------
-    partition : fields of PartitionOptions, by name.
-    scene_path : where the scene is now, if it was moved.
+    `partition` : fields of PartitionOptions; `scene_path` : where the scene is now, if it was
+    moved.
     """
     folder.check_there()
     with RunFolder(folder.path).locked():
@@ -191,11 +182,6 @@ def merge_city(city: City, fill: bool = False, reference: Path | None = None, tr
     fill, tree, shown : as for `city`.
     reference : the PLY of the reference for seams; None: the coarse model.
     joint : whether there is a joint training, if the partition includes it.
-
-    Raises
-    ------
-    InputError : a block is missing; nothing is written then.
-    Interrupted : the joint training was stopped; its state is saved.
     """
     if tree:
         return Finished(merge_city_tree(city, fill))
@@ -219,13 +205,7 @@ def chosen_partition(given: Mapping[str, Any], city: City, workers: int | None =
     """The PartitionOptions with given fields, and others chosen.
 
     By default the blocks of the workers that share a device fit it together, and a city that is cut
-    already keeps its steps.
-
-    Parameters
-    ----------
-    workers : None: as many as share the devices well.
-    devices : the number of devices that the workers use.
-    """
+    already keeps its steps. `workers` : None: as many as share the `devices` well."""
     options = city.options
     facts, photos = facts_of_whole(city.scene, options)
     expected, fit = expected_gaussians(facts, options), gaussians_that_fit(city.device, options)

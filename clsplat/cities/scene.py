@@ -68,12 +68,7 @@ class Stage(Part):
 
 
 class FrozenRows(Stage):
-    """Freezes the gaussians that a block does not train.
-
-    Parameters
-    ----------
-    region : of the block.
-    """
+    """Freezes the gaussians that a block does not train."""
 
     name = "frozen"
 
@@ -118,10 +113,7 @@ class FrozenRows(Stage):
 class SampleWeights(Part):
     """Visits each photo of a block as often as it shows what the block owns.
 
-    Parameters
-    ----------
-    weights : how often, in any unit, by the name of a view; 1 for others.
-    """
+    `weights` : how often, in any unit, by the name of a view; 1 for others."""
 
     name = "weights"
 

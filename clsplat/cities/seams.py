@@ -38,13 +38,12 @@ LEAST_PIXELS = 500  # of a strip, and of the rest of a view; fewer are too noisy
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """Two blocks that share a face. Coordinates are those of the partition's space.
+    """Two blocks that share a face, in coordinates of the partition's space.
 
     Attributes
     ----------
     first, second : the blocks, `first` on the low side of the face.
-    axis : across the face.
-    at : where the face is.
+    axis, at : across the face, and where it is.
     low, high : float64[3], the strip.
     """
 

@@ -46,12 +46,10 @@ class Outcome:
 
     Attributes
     ----------
-    job : the job.
+    job, worker : the job, and the last one that ran it.
     value : what it returned; None if it was finished before, or failed.
     error : why it failed; None: it did not.
-    seconds : the duration of all its tries.
-    tries : how often it was started.
-    worker : the last one.
+    seconds, tries : the duration of all its tries, and how many there were.
     """
 
     job: Any
@@ -92,10 +90,6 @@ class Workers:
     scheduler : address of a Dask scheduler, whose workers are used instead.
     devices : values of CLSPLAT_DEVICE that the processes use in turn, from the last one, as this
         process works on the first one.
-
-    Raises
-    ------
-    InputError : for a number of processes that no machine can run.
     """
 
     def __init__(self, number: int = 1, scheduler: str = "", devices: Sequence[str] = ()) -> None:

@@ -47,9 +47,8 @@ def exposure_drift(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
 
     Parameters
     ----------
-    views : the views to compare.
+    views, points : the views to compare, and points [N, 3] in their frame.
     photos : for each view uint8[3, h, w], of any size, or uint8[4, h, w] with a mask.
-    points : [N, 3], in the views' frame.
     colours : [N, 3], of the points.
 
     Returns
@@ -102,17 +101,7 @@ def corner_darkening(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
     point, one times the log depth and one times the squared distance from the optical axis, fitted
     by least squares: the same point is seen in the middle of some photos and near the border of
     others. Where a camera moves along its axis, what is near the border is near the camera, too.
-
-    Parameters
-    ----------
-    views : the views to compare.
-    photos : for each view uint8[3, h, w], of any size, or uint8[4, h, w] with a mask.
-    points : [N, 3], in the views' frame.
-
-    Returns
-    -------
-    The darkening; 0 if no two photos show the same points.
-    """
+    Arguments as for `exposure_drift`; 0 if no two photos show the same points."""
     parts = [_darkening_samples(view, photo, points) for view, photo in zip(views, photos)]
     if not parts:
         return 0.0
@@ -148,18 +137,9 @@ def colour_disagreement(scene: Scene, views: Sequence[View], photos: Iterable[ND
     Each channel of a photo is first fitted to the points' mean colours by a factor and an offset,
     so that exposure and white balance are no disagreement. What is left is what no model of the
     scene explains: things that move, glare, noise, wrong poses. The deviation is that of the median
-    point, so that a few wrong observations do not count.
+    point, so that a few wrong observations do not count. `photos` as for `exposure_drift`.
 
-    Parameters
-    ----------
-    scene : with sparse points, and the observations of them in views.
-    views : of the scene, such as one part of `scene.split`.
-    photos : for each view uint8[3, h, w], of any size, or uint8[4, h, w] with a mask.
-
-    Returns
-    -------
-    A share of full brightness; nan where no point is observed in three of the photos.
-    """
+    Returns a share of full brightness; nan where no point is observed in three of the photos."""
     parts = [_colours(scene.points, point, view, photo) for view, point, photo
              in zip(views, observed_points(scene, views), photos)]
     parts = [part for part in parts if len(part[0]) >= LEAST_POINTS]

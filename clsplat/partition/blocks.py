@@ -49,13 +49,11 @@ class BlockStart:
 
     Attributes
     ----------
-    gaussians : the model.
-    indices : int[K], where the gaussians of the model are among those of the whole.
-    own : in the block's cell.
-    margin : in the margin around the cell.
+    gaussians, indices : the model, and where its gaussians are among those of the whole, int[K].
+    own, margin : in the block's cell, and in the margin around it.
     surroundings : farther away; the model holds them, frozen.
-    unseen : left out because no view of the block shows them.
-    thinned : left out because they are smaller than a pixel, and others were enlarged instead.
+    unseen, thinned : left out because no view of the block shows them, or because they are smaller
+        than a pixel, and others were enlarged instead.
     dense : added at dense points (`filled`); they are last in the model.
     """
 
@@ -100,17 +98,8 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
 
 def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, most: int = 0
            ) -> BlockStart:
-    """A start with those dense gaussians that its region reaches and that stand in its gaps.
-
-    A gaussian stands in a gap where no other one of the start lies within its standard deviation.
-
-    Parameters
-    ----------
-    start : the result of `block_start`.
-    dense : at dense points of the whole scene, in its local frame.
-    scene, region : as for `block_start`.
-    most : gaussians of the result, if it begins with fewer; 0: any number.
-    """
+    """A start with those dense gaussians, at most to `most` in all, that its region reaches and
+    that stand in its gaps: where no other one of the start lies within a gaussian's deviation."""
     positions = dense.positions.astype(np.float64)
     added = np.flatnonzero(region.reaches(world_of(scene, positions)))
     if start.gaussians.count:
@@ -128,14 +117,8 @@ def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, mo
 def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floating],
                   views: Sequence[View], near: float, enough: float = np.inf
                   ) -> NDArray[np.float64]:
-    """Two standard deviations of each gaussian in the view that shows it largest, in pixels.
-
-    Parameters
-    ----------
-    positions, deviations, near : as for `shown_sizes`.
-    views : with cameras of the size that counts.
-    enough : pixels; a gaussian that has this size in a view is not looked for in others.
-    """
+    """Two standard deviations of each gaussian in the view that shows it largest, in pixels; see
+    `shown_sizes`. One that has the size `enough` in a view is not looked for in others."""
     largest = np.zeros(len(positions))
     clusters = Clusters(positions, VISIBLE_DEVIATIONS * deviations)
     positions, deviations = positions[clusters.order], deviations[clusters.order]
@@ -150,17 +133,10 @@ def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floati
 
 def shown_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floating], camera: Camera,
                 near: float) -> NDArray[np.float64]:
-    """Two standard deviations of each gaussian in a view, in pixels; 0 where it is not shown.
+    """Two standard deviations [N] of each gaussian in a view, in pixels; 0 where it is not shown.
 
-    A view shows a gaussian that is farther away than `near` and lies within VISIBLE_DEVIATIONS
-    standard deviations of the image.
-
-    Parameters
-    ----------
-    positions : [N, 3], in the camera's world.
-    deviations : [N], in the same unit; the largest of a gaussian's three standard deviations.
-    camera : of the size that counts.
-    near : depth of the near plane.
+    A view shows a gaussian at [N, 3] that is farther away than `near` and lies within
+    VISIBLE_DEVIATIONS standard deviations of the image. `deviations` : [N], the largest of three.
     """
     pixels, depths = camera.project(positions)
     deviation = deviations * max(camera.focal) / np.maximum(depths, near)
@@ -173,13 +149,7 @@ def trainable(scene: Scene, region: Region, positions: NDArray[np.floating],
     """Which gaussians a block trains, as bool[N]; the others are frozen.
 
     These are the gaussians that its region reaches with TRAINED_DEVIATIONS standard deviations.
-
-    Parameters
-    ----------
-    scene, region : of the block.
-    positions : [N, 3], in the local frame of the scene.
-    log_scales : [N, 3], as in a model.
-    """
+    `positions`, `log_scales` : [N, 3], in the local frame of the scene."""
     deviations = np.exp(np.maximum.reduce(log_scales.T).astype(np.float64))
     return region.reaches(world_of(scene, positions),
                           scene.unit * TRAINED_DEVIATIONS * deviations)
@@ -213,10 +183,8 @@ def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequ
 
     Parameters
     ----------
-    gaussians : the coarse model, in the local frame of `scene`.
-    scene : the whole scene.
-    region : the block's cell and margin.
-    views : of the block, of full size.
+    gaussians, scene : the coarse model, in the local frame of the whole scene.
+    region, views : the block's cell and margin, and its views, of full size.
     """
     positions = gaussians.positions.astype(np.float64)
     positions = positions[region.reaches(world_of(scene, positions))]
@@ -249,13 +217,7 @@ def of_few_sizes(windows: dict[str, Window], views: Sequence[View], most: int = 
 
     As long as there are more, those two sizes become one that adds the fewest pixels (Ward 1963,
     with pixels in place of squared distances). Sizes in photos of different sizes are not joined.
-
-    Parameters
-    ----------
-    windows : by the names of their views.
-    views : of the block, of full size; those without a window are read whole.
-    most : number of sizes.
-    """
+    `views` : of full size; those without a window are read whole."""
     photos = np.array([(view.camera.width, view.camera.height) for view in views]).reshape(-1, 2)
     boxes = np.array([windows.get(view.name, (0, 0, view.camera.width, view.camera.height))
                       for view in views]).reshape(-1, 4)
@@ -284,15 +246,9 @@ def of_few_sizes(windows: dict[str, Window], views: Sequence[View], most: int = 
 
 def owned_shares(owner: NDArray[np.integer], positions: NDArray[np.floating], views: Sequence[View],
                  near: float, blocks: int) -> NDArray[np.float64]:
-    """[V, B]: the share of the gaussians shown by each view that each block owns.
+    """[V, B]: the share of the gaussians shown by each view, of full size, that each block owns.
 
-    Parameters
-    ----------
-    owner : int[N], the block of each gaussian, or -1.
-    positions : [N, 3] of the coarse model, in the views' frame.
-    views : V views of full size.
-    near : depth of the near plane.
-    blocks : their number B.
+    `owner` : int[N], the block of each gaussian, or -1; `positions` : [N, 3], in the views' frame.
     """
     chosen = slice(None, None, max(1, -(-len(positions) // MOST_COUNTED)))
     shares = np.zeros((len(views), blocks))

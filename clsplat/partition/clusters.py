@@ -48,12 +48,8 @@ class Clusters:
                   ) -> NDArray[np.integer]:
         """The places in `order` of points that a view may show; all others it certainly does not.
 
-        Parameters
-        ----------
-        camera : a pinhole, in the frame of the points.
-        near : depth of the near plane.
-        beside : pixels outside of the image that count, too.
-        """
+        `camera` : a pinhole, in the frame of the points; `near` : depth of the near plane; `beside`
+        : pixels outside of the image that count, too."""
         x, y, z = turned(camera.rotation, self._centres) + camera.translation[:, None]
         (fx, fy), (cx, cy) = camera.focal, camera.centre
         shown = z + self._radii > near - ROUNDING * abs(z)

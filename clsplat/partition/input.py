@@ -156,16 +156,9 @@ def ground_axes(up: NDArray[np.float64], content: NDArray[np.float64],
                 weights: NDArray[np.float64]) -> NDArray[np.float64]:
     """The axes u, v and up as rows [3, 3], right-handed, with u along the content's longer side.
 
-    u and v are the sides of the smallest rectangle around the content without outliers, which
-    follows streets and flight lines; u points to the side where the content has its longer tail.
-    The axes therefore rotate with the scene.
-
-    Parameters
-    ----------
-    up : [3], a unit vector.
-    content : [M, 3], world.
-    weights : [M]; content of weight 0 is ignored.
-    """
+    u and v are the sides of the smallest rectangle around the content [M, 3], without outliers and
+    what has weight 0, which follows streets and flight lines; u points to the side where the
+    content has its longer tail. The axes therefore rotate with the scene."""
     first = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     plane = np.stack([first, np.cross(up, first)]) / np.linalg.norm(first)
     content, weights = content[weights > 0], weights[weights > 0]

@@ -29,8 +29,7 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
 
     Parameters
     ----------
-    scene : the whole scene.
-    options : the method and its numbers.
+    scene, options : the whole scene; the method and its numbers.
     gaussians : a coarse model in the scene's local frame. None: the sparse points are used.
     views : indices into scene.views of the training views. None: all.
     drop : see `methods.citygs`.

@@ -107,12 +107,8 @@ def _tested(regions: Sequence[Region], content: NDArray[np.float64]) -> list[Reg
 
 def _visible_cells(data: PartitionInput, owner: NDArray[np.integer]
                    ) -> Iterator[NDArray[np.integer]]:
-    """For each view, the cells that have content in its image or close beside it.
-
-    Parameters
-    ----------
-    owner : [M], the cell of each content, -1 for none.
-    """
+    """For each view, the cells that have content in its image or close beside it; `owner` : [M],
+    the cell of each content, -1 for none."""
     places = (data.content - data.scene.offset) / data.scene.unit
     clusters = Clusters(places, np.zeros(len(places)))
     places, owner = places[clusters.order], owner[clusters.order]

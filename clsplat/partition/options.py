@@ -117,12 +117,8 @@ class PartitionOptions:
                 f"{self.least_gaussians}; use a smaller --grid")
 
     def decided(self, joint: bool = False) -> "PartitionOptions":
-        """The options with a number in place of each `auto` that concerns steps.
-
-        Parameters
-        ----------
-        joint : whether there is a joint training where the options leave that open.
-        """
+        """The options with a number in place of each `auto` that concerns steps; `joint` : whether
+        there is a joint training where the options leave that open."""
         def number(value: float, chosen: float) -> float:
             return chosen if is_auto(value) else value
 

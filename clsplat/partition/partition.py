@@ -17,16 +17,12 @@ if TYPE_CHECKING:
 
 
 class Cells:
-    """A table that tells which of many Regions of one space contains a point.
+    """A table of which of many Regions of one space contains a point; ValueError if two overlap.
 
     Attributes
     ----------
     edges : along each axis the ends of the cells, ascending.
     table : [edges + 1 along each axis]; the index of the cell between two edges, -1 for none.
-
-    Raises
-    ------
-    ValueError : two regions overlap.
     """
 
     def __init__(self, regions: Sequence[Region]) -> None:
