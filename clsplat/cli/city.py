@@ -11,13 +11,14 @@ import click
 
 from clsplat.cli.flags import (
     Parsed,
+    SectionedCommand,
+    SectionedOption,
     TrainingCommand,
     config_options,
     flags_of,
     given_options,
     training_flags,
 )
-from clsplat.cli.sections import SectionedCommand, SectionedOption
 from clsplat.cli.train import ending
 from clsplat.config.option import AUTO, is_auto
 from clsplat.errors import InputError

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsplat.cli.flags import FiniteRange, Parsed, check_free
-from clsplat.cli.sections import SectionedCommand, SectionedOption
+from clsplat.cli.flags import FiniteRange, Parsed, SectionedCommand, SectionedOption, check_free
 from clsplat.errors import InputError
 
 if TYPE_CHECKING:

@@ -11,25 +11,24 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import click
+from click.shell_completion import get_completion_class
 
 from clsplat import __version__
 from clsplat.cli.bench import bench
 from clsplat.cli.block import block
 from clsplat.cli.city import city, merge, partition_command
 from clsplat.cli.compare import compare
-from clsplat.cli.completion import completion
 from clsplat.cli.devices import devices
 from clsplat.cli.edit import edit
 from clsplat.cli.evaluate import evaluate
 from clsplat.cli.export import export
 from clsplat.cli.film import film
-from clsplat.cli.flags import NonEmptyPath
+from clsplat.cli.flags import NonEmptyPath, SectionedGroup
 from clsplat.cli.georeference import georeference
 from clsplat.cli.map import map_command
 from clsplat.cli.pack import pack
 from clsplat.cli.plan import plan
 from clsplat.cli.render import render
-from clsplat.cli.sections import SectionedGroup
 from clsplat.cli.sfm import sfm
 from clsplat.cli.train import train
 from clsplat.cli.view import view
@@ -138,6 +137,21 @@ def main(ctx: click.Context) -> None:
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(("bash", "zsh", "fish")))
+@click.pass_context
+def completion(ctx: click.Context, shell: str) -> None:
+    """Print a script for completion of commands in a SHELL.
+
+    For bash: `clsplat completion bash >> ~/.bashrc`; zsh: the same with ~/.zshrc; fish:
+    `clsplat completion fish > ~/.config/fish/completions/clsplat.fish`.
+    """
+    completion_class = get_completion_class(shell)
+    assert completion_class is not None  # click knows every shell of the choice
+    command = ctx.find_root().command
+    click.echo(completion_class(command, {}, "clsplat", "_CLSPLAT_COMPLETE").source())
 
 
 main.add_section("Train", plan, train, evaluate, compare)

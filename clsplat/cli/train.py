@@ -13,12 +13,12 @@ import click
 
 from clsplat.cli.flags import (
     FiniteRange,
+    SectionedOption,
     TrainingCommand,
     config_options,
     given_options,
     training_flags,
 )
-from clsplat.cli.sections import SectionedOption
 from clsplat.cli.sfm import trained_scene
 from clsplat.config.option import differences, flag_name
 from clsplat.errors import InputError

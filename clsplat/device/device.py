@@ -16,11 +16,10 @@ import pyopencl.tools
 from numpy.typing import ArrayLike, DTypeLike
 
 from clsplat.device.array import Arena, Array, Block, LiveBytes
-from clsplat.device.capabilities import probe_capabilities, probe_wave
+from clsplat.device.capabilities import probe_capabilities, probe_wave, tuning_of
 from clsplat.device.graph import Graph
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Defines, Kernel
 from clsplat.device.programs import Build, build, define_options, kernel_source, words_of
-from clsplat.device.tuning import tuning_of
 from clsplat.errors import TOO_LARGE, DeviceError, OutOfDeviceMemory
 
 SMALLEST_BYTES = 64  # of a buffer
@@ -45,7 +44,7 @@ class Device:
     real : the type of floating-point numbers in this precision.
     tile : pixels, the width and height of a tile.
     wave : lanes that run in step, 32 or 64: the group form's pixels of a sub-tile.
-    item_runs, group_size, scan_group, bucket : as for `Tuning`, as far as the device allows.
+    item_runs, group_size, scan_group, bucket : as for `tuning_of`, as far as the device allows.
     adjoint_group : lanes of a group of the blend adjoint, a multiple of `wave`.
     largest_buffer : bytes.
     peak_bytes : the largest value that `memory_bytes` had whenever it was read or grew.
@@ -72,12 +71,12 @@ class Device:
         self.wave = probe_wave(self.context, handle)
         tuning = tuning_of("cpu" if self.is_cpu else "gpu", self.wave)
         most_items = handle.max_work_group_size
-        self.item_runs, self.bucket = tuning.item_runs, tuning.bucket
-        self.group_size = min(tuning.group_size, most_items)
-        self.adjoint_group = tuning.adjoint_waves * self.wave
-        self.scan_group = min(tuning.scan_group, 1 << most_items.bit_length() - 1)
+        self.item_runs, self.bucket = tuning["item_runs"], tuning["bucket"]
+        self.group_size = min(tuning["group_size"], most_items)
+        self.adjoint_group = tuning["adjoint_waves"] * self.wave
+        self.scan_group = min(tuning["scan_group"], 1 << most_items.bit_length() - 1)
         # a lane owns a pixel of a tile, which is smaller where groups are; the item form's is fixed
-        self.tile = tuning.tile if self.form == "item" or most_items >= tuning.tile**2 else 8
+        self.tile = tuning["tile"] if self.form == "item" or most_items >= tuning["tile"]**2 else 8
         # an immediate allocation fails now, and not at a launch
         self._pool = Arena(cl.tools.ImmediateAllocator(self.queue))
         self._persistent = LiveBytes()

@@ -18,7 +18,6 @@ def compare_depth(device: Device, depth: Array, transmittance: Array, known: Arr
 
     Parameters
     ----------
-    device : the device of the arrays.
     depth, transmittance : real[H, W], rendered.
     known : real[H, W], depths along the camera's axis, world units; 0: unknown.
     weight : of the loss.

@@ -48,7 +48,6 @@ class Exposures:
 
     Parameters
     ----------
-    device : the device of the images.
     views : how many views.
     rate : learning rate.
     pull : weight in the loss of mean((E - I)^2) over the 12 entries E of a view's transform, and of

@@ -28,7 +28,6 @@ def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float
 
     Parameters
     ----------
-    device : the device of the images.
     image : real[3, H, W], display values.
     photo : uchar[3, H, W], or uchar[4, H, W] with a mask (cl/image_loss.cl).
     ssim_weight : share of D-SSIM in the loss, the rest is L1.

@@ -70,7 +70,6 @@ def reproject(device: Device, depth: Array, transmittance: Array, photo: Array, 
 
     Parameters
     ----------
-    device : the device of the arrays.
     depth, transmittance : real[H, W], rendered.
     photo : uchar[3 or 4, H, W], of the rendered view.
     neighbour : uchar[3 or 4, H2, W2], the source view's photo.

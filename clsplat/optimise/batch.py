@@ -32,7 +32,6 @@ class BatchMean:
 
     Parameters
     ----------
-    device : the device of the gradients.
     rows : field name -> real[N, *row shape], the parameters, for their shapes.
     views : how many views.
     """

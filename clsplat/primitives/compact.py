@@ -34,7 +34,6 @@ def compact(device: Device, flags: Array, counts: Array, room: int | None = None
 
     Parameters
     ----------
-    device : the device of the arrays.
     flags : uint[N], 0 or 1.
     counts : uint[FRAME_COUNTS], whose COUNT_VISIBLE becomes the number of these rows.
     room : the largest number that is expected; a frame with more fails (cl/include/counts.h).

@@ -27,7 +27,6 @@ def stable_sort(device: Device, keys: Array, counts: Array) -> tuple[Array, Arra
 
     Parameters
     ----------
-    device : the device of the arrays.
     keys : uint[R].
     counts : uint[FRAME_COUNTS].
 

@@ -102,7 +102,6 @@ def bin_splats(device: Device, splats: Array, counts: Array, order: Array | None
 
     Parameters
     ----------
-    device : the device of the arrays.
     splats : real[V, 12] (cl/include/splat.h), of which the first counts[COUNT_VISIBLE] exist.
     counts : uint[FRAME_COUNTS], of the frame.
     order : uint[V], the splats front to back, where NEEDS_ORDER.

@@ -173,7 +173,6 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
 
     Parameters
     ----------
-    device : the device of the arrays.
     splats : real[V, 12] (cl/include/splat.h).
     pairs : those of the frame, or of a band of it.
     width, height : size of the image, pixels.

@@ -24,7 +24,6 @@ def contribution(device: Device, frame: Frame, weights: Array) -> Array:
 
     Parameters
     ----------
-    device : the device of the frame.
     frame : a rendered view.
     weights : real[H, W], the weights of its pixels.
 

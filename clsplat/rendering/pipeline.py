@@ -120,7 +120,6 @@ class Renderer:
 
     Parameters
     ----------
-    device : the device of the gaussians' rows.
     sh_degree : of the stored spherical harmonics (SH).
     near : depth of the near plane, world units.
     antialiased : whether opacities are scaled by the area that the low-pass filter adds (Yu et al.

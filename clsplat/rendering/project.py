@@ -168,7 +168,6 @@ def project(device: Device, rows: Rows, visible: Array, counts: Array, camera: A
 
     Parameters
     ----------
-    device : the device of the arrays.
     rows : field name -> real[N, *row shape].
     visible : uint[V], the gaussians, of which the first counts[COUNT_VISIBLE] exist.
     counts : uint[FRAME_COUNTS], of the frame.
@@ -238,7 +237,6 @@ def sum_pairs(device: Device, splat_grads: SplatGrads, counts: Array, defines: D
 
     Parameters
     ----------
-    device : the device of the arrays.
     splat_grads : of `blend_adjoint`, for a band.
     counts : uint[FRAME_COUNTS], of the frame.
     defines : the build-time choices of the renderer.
