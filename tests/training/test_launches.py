@@ -92,12 +92,6 @@ def test_a_step_with_reprojection(float_device, city, tmp_path, counted):
     assert launches == (23 if float_device.form == "item" else 19)
 
 
-@pytest.mark.slow
-def test_outliers_cost_a_step_nothing(item_device, city, tmp_path, counted):
-    assert of_a_replay(counted(item_device, city, tmp_path, schedule="constant",
-                               robust="on")) == 20
-
-
 def test_without_what_is_optional(float_device, city, tmp_path, counted):
     """Neither exposures nor lazy rows that catch up."""
     launches = of_a_replay(counted(float_device, city, tmp_path, schedule="constant",

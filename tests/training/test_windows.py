@@ -64,12 +64,6 @@ def test_a_part_of_a_photo_shows_what_the_whole_does_there():
     assert (half.width, half.height, half.borders) == (152, 128, (-48, -16, 272, 224))
 
 
-def test_the_largest_resolution_is_of_the_whole_photo():
-    part = CAMERA.cropped(96, 32, 416, 288).reduced(1, max_resolution=320)
-    assert (part.width, part.height) == (160, 128)
-    assert part.focal == CAMERA.reduced(2).focal
-
-
 @pytest.mark.parametrize("name", ["ragged", "giants", "near_plane"])
 def test_a_render_of_a_part_is_part_of_the_render(device, name):
     """Also where gaussians lie far outside the part: what clamps their Jacobians is the whole."""
@@ -127,13 +121,6 @@ def test_windows_hold_what_the_region_reaches(scene, gaussians):
         pixels, _ = view.camera.project(gaussians.positions[reached & view.sees(scene.points)])
         shown.append(((pixels > (left, top)) & (pixels < (right, bottom))).all(axis=1))
     assert np.concatenate(shown).mean() > 0.98 and np.mean(areas) < 0.75
-
-
-def test_a_view_that_shows_nothing_of_a_block_stays_whole(scene, gaussians):
-    away = replace(scene, views=tuple(
-        replace(view, camera=replace(view.camera, translation=view.camera.translation - [
-            0, 0, 1e5])) for view in scene.views[:3]))
-    assert find_windows(gaussians, away, region_of(scene, 0.3), away.views) == {}
 
 
 def test_a_scene_cropped_keeps_the_observations_that_it_shows(scene):

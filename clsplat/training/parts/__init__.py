@@ -37,6 +37,6 @@ def registered_part(name: str) -> type[Part]:
     kind = REGISTERED.load(name)
     if not issubclass(kind, Part):
         REGISTERED.refuse_base(name)
-    methods = ["__init__", *overridden(kind, Part)]
-    part: type[Part] = guarded(kind, methods, f"the part {name}", REGISTERED.source(name))
+    part: type[Part] = guarded(kind, ["__init__", *overridden(kind, Part)], f"the part {name}",
+                               REGISTERED.source(name))
     return part

@@ -82,7 +82,7 @@ class DepthMaps(Part):
         return None if known is None else {"map": known}
 
     def add_to(self, work: ViewPass, inputs: Inputs) -> Array:
-        """As `Part.add_to`; returns the sums of `compare_depth`."""
+        """Return the sums of `compare_depth`."""
         blended = work.frame.blended
         sums, grad_depth, grad_transmittance = compare_depth(
             work.counts.device, blended.depth, blended.transmittance, inputs["map"], self.weight)

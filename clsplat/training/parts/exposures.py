@@ -70,7 +70,7 @@ class PhotoResponses(Part):
         work.exposure = self.exposures.of(work.view, work.camera)
 
     def adjoint(self, work: ViewPass, inputs: Inputs) -> None:
-        """As `Part.adjoint`, with one step of Adam on the response."""
+        """Also take one step of Adam on the response."""
         assert work.grad.image is not None  # the image term is always used
         work.grad.image, partials = self.exposures.adjoint(
             work.view, work.camera, work.frame.image, work.grad.image)
