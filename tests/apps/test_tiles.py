@@ -10,8 +10,7 @@ from clsplat.edit.select import merged
 from clsplat.georeference import Georeference
 from clsplat.io.models.formats import read_model, read_with_notes
 from tests.data.cloud import cloud
-from tests.io.models.test_formats import BOUNDS, compare, model
-from tests.io.models.test_gltf_spz import parts
+from tests.io.models.test_formats import BOUNDS, compare, model, parts
 
 Y_TO_Z = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # what a viewer does to glTF content
 SPZ_TO_PLY = np.diag([1.0, -1, -1])  # what `read_model` does to the axes of SPZ

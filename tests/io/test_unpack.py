@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
+from clsplat.io import npz
 from clsplat.io.models.formats import read_model, write_model
 from clsplat.io.models.sog import encode_webp
-from clsplat.io.npz import read_npz
+from clsplat.io.npz import read_npz, write_npz
 from tests.io.models.test_ply import random_gaussians
 
 PAYLOAD = 1 << 26
@@ -121,3 +122,32 @@ def test_elements_of_a_ply_without_properties(tmp_path, form):
     path = tmp_path / "a.ply"
     path.write_bytes(f"ply\nformat {form} 1.0\nelement vertex 1000000000000\nend_header\n".encode())
     refused(read_model, path, "PLY")
+
+
+ARRAYS = {"wide": np.arange(3000, dtype=np.float32).reshape(50, 4, 15),
+          "flat": np.arange(50, dtype=np.uint32)}
+
+
+@pytest.fixture
+def path(tmp_path):
+    with open(tmp_path / "arrays.npz", "wb") as file:
+        write_npz(file, ARRAYS)
+    return tmp_path / "arrays.npz"
+
+
+@pytest.mark.parametrize("rows", [[], [0, 1, 24, 49], range(50)])
+def test_some_rows_are_those_of_the_whole_array(path, monkeypatch, rows):
+    monkeypatch.setattr(npz, "CHUNK", 300)  # bytes; a row of the wide array has 240
+    rows = np.array(rows, np.int64)
+    found = read_npz(path, "damaged", "copy it again", rows=rows)
+    assert set(found) == set(ARRAYS)
+    for name, values in ARRAYS.items():
+        assert found[name].dtype == values.dtype and np.array_equal(found[name], values[rows])
+
+
+def test_damage_in_rows_that_are_left_out_is_found(path):
+    content = bytearray(path.read_bytes())
+    content[content.index(ARRAYS["wide"][30].tobytes())] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"damaged \(.*wide.*\); copy it again"):
+        read_npz(path, "damaged", "copy it again", rows=np.array([2, 3]))

@@ -14,6 +14,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.models.formats import SUFFIXES, count_of, read_model, write_model
+from clsplat.io.models.gltf import write_spz_glb
 from clsplat.io.models.ply import write_ply
 from clsplat.io.models.values import half_turn
 from tests.io.models.test_ply import UTM, equal, random_gaussians
@@ -161,9 +162,7 @@ def test_glb_is_upright_and_says_what_it_is(tmp_path):
     gaussians = model(5, 1)
     write_model(tmp_path / "a.glb", gaussians, ["SplatRenderMode: mip"], up=(0, 0, 1),
                 georeference=Georeference("EPSG:32614", (5e5, 5e6, 0), "GPS", 0.1))
-    data = (tmp_path / "a.glb").read_bytes()
-    size, = struct.unpack_from("<I", data, 12)
-    document = json.loads(data[20:20 + size])
+    document, _ = parts(tmp_path / "a.glb")
     upright = Rotation.from_quat(document["nodes"][0]["rotation"])
     # half a turn about z keeps z; east becomes left, north becomes forward
     assert np.allclose(upright.apply([(0, 0, 1), (-1, 0, 0), (0, -1, 0)]),
@@ -303,3 +302,44 @@ def test_a_compressed_ply_is_read_only(tmp_path, has_colours):
             read_model(path)
     with pytest.raises(InputError, match="compressed PLY is only read; write .sog or .spz"):
         write_model(path, found)
+
+
+def parts(path):
+    """The document of a binary glTF and its buffer."""
+    data = path.read_bytes()
+    size, = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20:20 + size]), data[28 + size:]
+
+
+def changed(path, document, content):
+    text = json.dumps(document).encode()
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 0) + struct.pack("<I4s", len(text), b"JSON")
+                     + text + struct.pack("<I4s", len(content), b"BIN\0") + content)
+
+
+@pytest.mark.parametrize("count, degree", [(1, 0), (200, 0), (200, 3)])
+def test_glb_of_spz_as_3d_tiles_have_it(tmp_path, count, degree):
+    path, gaussians = tmp_path / "a.glb", model(count, degree)
+    write_spz_glb(path, gaussians)
+    compare(read_model(path), gaussians, BOUNDS[".spz"])
+    moved = read_model(path, (1.0, 2.0, 3.0))
+    assert np.array_equal(moved.offset, (1, 2, 3))
+    compare(moved, gaussians, BOUNDS[".spz"])
+
+
+def test_another_place_of_the_buffer_and_damage(tmp_path):
+    path, gaussians = tmp_path / "a.glb", model(40, 1)
+    write_spz_glb(path, gaussians)
+    document, content = parts(path)
+    view = document["bufferViews"][0]
+    changed(path, {**document, "bufferViews": [{**view, "byteOffset": 8}]}, bytes(8) + content)
+    compare(read_model(path), gaussians, BOUNDS[".spz"])
+    for change in ({"byteOffset": 8}, {"byteOffset": -1}, {"byteLength": 30}, {"buffer": 1}):
+        changed(path, {**document, "bufferViews": [{**view, **change}]}, content)
+        with pytest.raises(InputError, match="a.glb: not a binary glTF") as caught:
+            read_model(path)
+        assert "\n" not in str(caught.value)
+    turned = {**document["nodes"][0], "name": "of another program"}
+    changed(path, {**document, "nodes": [turned]}, content)
+    with pytest.raises(InputError, match="a node turns or scales its gaussians"):
+        read_model(path)

@@ -4,10 +4,8 @@ It is a Node package: `npm install @playcanvas/splat-transform@2.7.1` somewhere,
 folder in CLSPLAT_NODE_MODULES. .ci/nightly does so.
 """
 
-import json
 import os
 import shutil
-import struct
 import subprocess
 from pathlib import Path
 
@@ -16,7 +14,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from clsplat.io.models.formats import read_model, write_model
-from tests.io.models.test_formats import BOUNDS, compare, model, turns, world
+from tests.io.models.test_formats import BOUNDS, compare, model, parts, turns, world
 
 COMMAND = "node_modules/@playcanvas/splat-transform/bin/cli.mjs"
 
@@ -83,9 +81,7 @@ def test_we_read_what_it_writes(tmp_path, convert, suffix):
 
 def glb_attributes(path):
     """Name -> array of the attributes of the first primitive of a file."""
-    data = path.read_bytes()
-    size, = struct.unpack_from("<I", data, 12)
-    document, content = json.loads(data[20:20 + size]), data[28 + size:]
+    document, content = parts(path)
     primitive = document["meshes"][0]["primitives"][0]
     found = {}
     for name, number in primitive["attributes"].items():
