@@ -4,7 +4,7 @@
 // splat's pairs have consecutive emission indices, in the order of its tiles: offsets[v] is the
 // first, splat_counts[v] their number. ranges: uint[tiles, 2], where the pairs of each tile begin
 // and end in sorted_splats and emission_indices, uint[P]. Only tiles [first_tile, end_tile),
-// numbered row by row, are inspected: all of a frame, or a band of it (clsplat/rendering/bands.py).
+// numbered row by row, are inspected: all of a frame, or a band of it (clsplat/rendering/blend.py).
 // Within a band tiles are numbered from its first.
 //
 // Three steps: count_pairs counts the pairs of each splat and tile; place_pairs finds where each

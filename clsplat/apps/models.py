@@ -55,6 +55,14 @@ def in_original(scene: Scene) -> list[Camera]:
                     offset=scene.offset).shifted(-scene.offset) for view in scene.views]
 
 
+def turned_up(gaussians: Gaussians, up: NDArray[np.float64], to: NDArray[np.float64]) -> Gaussians:
+    """A model after the smallest rotation that turns its `up`, a unit vector, to another one."""
+    if np.allclose(up, to, atol=1e-9):
+        return gaussians.without_spheres()
+    turn, _ = Rotation.align_vectors([to], [up])
+    return transformed(gaussians, rotation=turn.as_matrix())
+
+
 def write_run_model(path: Path, run: Run, gaussians: Gaussians, upright: bool = False) -> None:
     """Write gaussians of a run, in original coordinates, in the format of a suffix, with what is
     known about them; `upright` turns them so that up is -y.
@@ -65,8 +73,6 @@ def write_run_model(path: Path, run: Run, gaussians: Gaussians, upright: bool = 
     """
     comments = (mode_comment(run.options.antialiased),)
     if upright:
-        turn, _ = Rotation.align_vectors([VIEWERS_UP], [run.up])
-        turned = transformed(gaussians, rotation=turn.as_matrix())
-        write_model(path, turned, comments, VIEWERS_UP)
-        return
-    write_model(path, gaussians, comments, run.known_up, run.georeference)
+        write_model(path, turned_up(gaussians, run.up, VIEWERS_UP), comments, VIEWERS_UP)
+    else:
+        write_model(path, gaussians, comments, run.known_up, run.georeference)

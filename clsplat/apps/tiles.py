@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from clsplat.apps.models import turned_up
 from clsplat.edit.decimate import decimated
 from clsplat.edit.select import halves, merged, selected
-from clsplat.edit.transform import half_axes, transformed
+from clsplat.edit.transform import half_axes
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
@@ -75,14 +75,6 @@ class Tile:
             yield from child.all()
 
 
-def upright(gaussians: Gaussians, up: NDArray[np.float64]) -> Gaussians:
-    """A model after the smallest rotation that turns its `up`, a unit vector, to z."""
-    if np.allclose(up, Z_UP, atol=1e-9):
-        return gaussians.without_spheres()
-    turn, _ = Rotation.align_vectors([Z_UP], [up])
-    return transformed(gaussians, rotation=turn.as_matrix())
-
-
 def tile_tree(gaussians: Gaussians, limit: int = TILE_GAUSSIANS) -> Tile:
     """Cut a model, which stands upright and is not empty, into a tree of tiles of at most `limit`
     gaussians."""
@@ -112,7 +104,7 @@ def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians,
     """Write the finished model of a run, or some of its gaussians, as 3D Tiles into a new or empty
     folder, which appears as a whole; `progress` as for `write_tiles`."""
     with new_folder(folder) as partial:
-        tree = tile_tree(upright(gaussians, run.up))
+        tree = tile_tree(turned_up(gaussians, run.up, Z_UP))
         write_tiles(partial, tree, run.georeference, progress,
                     (mode_comment(run.options.antialiased),))
     return tree

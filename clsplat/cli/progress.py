@@ -45,10 +45,10 @@ class Progress(SilentProgress):
         self._shown_at = -float("inf")
         self._marks: deque[tuple[float, int]] = deque(maxlen=SPEED_REPORTS)  # time and progress
         self._rate = 0.0
-        self._phase = self._what = ""  # as it is shown, and without numbers
+        self._phase = self._what = self._reached = ""  # as it is shown, and without numbers
         self._began = 0.0  # when the phase began
         self._ends: float | None = None  # when it will end; None: unknown
-        self._numbers: list[tuple[int, str]] = []
+        self._numbers: list[str] = []  # the most important ones first
         self._lock = threading.RLock()  # of all above
         self._ended = threading.Event()
 
@@ -79,8 +79,7 @@ class Progress(SilentProgress):
         """Show the numbers of a training step."""
         end = min(self._stop_at or total, total)
         self._report(training_at(level), "", iteration, end, f"{iteration}/{end}", "it/s", [
-            (5, f"loss {loss:.4f}"), (6, f"{gaussians:,} gaussians"),
-            (7, f"{memory_bytes / 2**20:,.0f} MiB")])
+            f"loss {loss:.4f}", f"{gaussians:,} gaussians", f"{memory_bytes / 2**20:,.0f} MiB"])
 
     def count(self, what: str, done: int, total: int) -> None:
         """Show how many of `total` things are done, such as "photo", 3, 48."""
@@ -111,10 +110,10 @@ class Progress(SilentProgress):
         self._phase = self._what = what
         self._began, self._ends, self._rate = time.monotonic(), None, 0.0
         self._marks.clear()
-        self._numbers, self._latest = [], ""
+        self._numbers, self._latest, self._reached = [], "", ""
 
     def _report(self, what: str, number: str, done: int, total: int, reached: str = "",
-                unit: str = "", more: Sequence[tuple[int, str]] = ()) -> None:
+                unit: str = "", more: Sequence[str] = ()) -> None:
         """Show numbers: on a terminal after DRAW_SECONDS or in a new phase, in a log after
         LOG_SECONDS or at the end."""
         with self._lock:
@@ -125,17 +124,15 @@ class Progress(SilentProgress):
             self._phase = what + number
             known = self._rate > 0 and done < total
             self._ends = now + (total - done) / self._rate if known else None
-            self._numbers = [(1, reached)] if reached else []
-            if self._rate and unit:
-                self._numbers.append((4, f"{self._rate:.1f} {unit}"))
-            self._numbers += more
+            rate = f"{self._rate:.1f} {unit}" if self._rate and unit else ""
+            self._reached = reached
+            self._numbers = [_bar(done, total) if self._live else "", rate, *more]
             if self._live:
-                self._numbers.insert(0, (3, bar(done, total)))
                 if before != self._phase or now - self._shown_at >= DRAW_SECONDS:
                     self._shown_at = now
                     self._draw_line()
                 return
-            self._latest = ", ".join(text for _, text in self._fields())
+            self._latest = ", ".join(self._fields())
             if done == total or now - self._shown_at >= LOG_SECONDS:
                 self._shown_at = now
                 self._log(self._latest)
@@ -146,12 +143,10 @@ class Progress(SilentProgress):
             self._rate = max(0, done - self._marks[0][1]) / (now - self._marks[0][0])
         self._marks.append((now, done))
 
-    def _fields(self) -> list[tuple[int, str]]:
-        """What the line shows, in its order, with the priority of each."""
-        before = [field for field in self._numbers if field[0] in (1, 3)]
-        after = [field for field in self._numbers if field[0] not in (1, 3)]
-        passed = self._time()
-        return [(0, self._titled()), *before, *([(2, passed)] if passed else []), *after]
+    def _fields(self) -> list[str]:
+        """What the line shows, the most important first."""
+        return [text for text in (self._titled(), self._reached, self._time(), *self._numbers)
+                if text]
 
     def _time(self) -> str:
         """The time that is left or, if that is unknown or over, that has passed."""
@@ -167,7 +162,10 @@ class Progress(SilentProgress):
     def _draw_line(self) -> None:
         if self._file is not None:
             columns = os.get_terminal_size(self._file.fileno()).columns or DEFAULT_COLUMNS
-            self._draw(fitted(self._fields(), columns - 1))
+            fields = self._fields()
+            while len(fields) > 1 and len(", ".join(fields)) >= columns:
+                fields.pop()
+            self._draw(", ".join(fields)[:columns - 1])
 
     def _draw(self, line: str) -> None:
         """Replace the line on a terminal."""
@@ -189,18 +187,7 @@ class Progress(SilentProgress):
             self._file = None
 
 
-def fitted(fields: list[tuple[int, str]], width: int) -> str:
-    """The texts of fields (priority, text), separated by commas, in at most `width` columns.
-
-    The least important fields, which have the largest numbers, are left out until the rest fits.
-    """
-    kept = list(fields)
-    while len(kept) > 1 and len(", ".join(text for _, text in kept)) > width:
-        kept.remove(max(kept))
-    return ", ".join(text for _, text in kept)[:width]
-
-
-def bar(done: int, total: int) -> str:
+def _bar(done: int, total: int) -> str:
     """A bar that is full at the end."""
     full = BAR * min(done, total) // max(1, total)
     return f"[{'#' * full}{'-' * (BAR - full)}]"

@@ -53,7 +53,7 @@ COUNT_TILES = Kernel("bin.cl", "count_tiles", each("V"), tiles_x="int", tiles_y=
 
 
 class TooManyPairs(DeviceError):
-    """More pairs than one binning may have; the cure is bands of fewer tiles (bands.py)."""
+    """More pairs than one binning may have; the cure is bands of fewer tiles (blend.py)."""
 
 
 @dataclass(eq=False)

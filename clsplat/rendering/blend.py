@@ -1,9 +1,11 @@
-"""Blending of splats into an image, and its adjoint (cl/blend.cl)."""
+"""Blending of splats into an image, and its adjoint (cl/blend.cl); bands of tiles, one
+after the other, for frames whose pairs of tile and splat do not fit into memory."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.constants import (
     CAMERA_REALS,
@@ -14,9 +16,13 @@ from clsplat.constants import (
     VIGNETTING_REALS,
 )
 from clsplat.device import Array, Device, Forms, Kernel, Only, groups, items
-from clsplat.rendering.bin import Pairs
+from clsplat.errors import DeviceError
+from clsplat.rendering.bin import HAS_BUCKETS, PAIR_LIMIT, Pairs, tile_grid
 
 MOST_CHANNELS = 16  # as local memory and the lanes of the group form's adjoint allow
+FRAME_SHARE = 0.25  # of the device's memory; the rest is for parameters, moments and photos
+BUFFER_SHARE = 2 / 3  # of the largest buffer: the pool rounds sizes up, by a quarter at most
+INDEX_BYTES = 4
 Defines = tuple[tuple[str, int], ...]  # names and values of the build-time choices of a kernel
 
 _SIZE: dict[str, Any] = dict(width="int", height="int", first_tile="int")
@@ -159,7 +165,7 @@ def blend_defines(with_depth: bool, smooth_cutoff: bool = False, depth_percent: 
             ("DEPTH_PERCENT", depth_percent if with_depth else 0))
 
 
-def feature_defines(features: Features | None) -> Defines:
+def _feature_defines(features: Features | None) -> Defines:
     """The build-time choices that follow from features; none without."""
     if features is None:
         return ()
@@ -196,7 +202,7 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
         states = len(pairs.bucket_tiles), device.tile**2
         result.checkpoints = device.empty((*states, channels + 1))
         result.depth_checkpoints = device.empty(states) if with_depth else None
-    device.launch(BLEND, (*defines, *feature_defines(features),
+    device.launch(BLEND, (*defines, *_feature_defines(features),
                           ("WITH_RESPONSE", int(exposure is not None)),
                           ("WITH_VIGNETTING", int(vignetting is not None))),
                   width=width, height=height, first_tile=pairs.tiles.start,
@@ -227,7 +233,7 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
     channels, height, width = blended.image.shape
     with_depth = dict(defines)["WITH_DEPTH"]
     pair_grads = device.empty((pairs.count, pair_columns(channels, bool(with_depth))))
-    device.launch(ADJOINT, (*defines, *feature_defines(features)), width=width,
+    device.launch(ADJOINT, (*defines, *_feature_defines(features)), width=width,
                   height=height, first_tile=pairs.tiles.start, background=background,
                   ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
                   emission_indices=pairs.emission_indices, splats=splats,
@@ -239,8 +245,55 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
                   bucket_tiles=pairs.bucket_tiles, checkpoints=blended.checkpoints,
                   depth_checkpoints=blended.depth_checkpoints)
     return SplatGrads(pair_grads, pairs.splat_counts, pairs.offsets,
-                      (("WITH_DEPTH", with_depth), *feature_defines(features)), earlier)
+                      (("WITH_DEPTH", with_depth), *_feature_defines(features)), earlier)
 
 
 def _of_features(features: Features | None) -> dict[str, Array | None]:
     return {"visible": features and features.visible, "features": features and features.rows}
+
+
+def choose_bands(counts: NDArray[np.int64], limit: int) -> tuple[range, ...]:
+    """Divide the tiles of a frame into as few bands as possible: ranges, numbered row by row.
+
+    Tiles are blended independently, so the image has the bytes of a frame in one piece. A splat's
+    pairs are emitted in the order of its tiles, and each band continues the gradient sums where the
+    band before it ended, so the gradients have the same bytes too.
+
+    Parameters
+    ----------
+    counts : int64[T], the pairs of each tile.
+    limit : the largest number of pairs of a band.
+
+    Returns
+    -------
+    The range of tiles of each band, in order.
+
+    Raises
+    ------
+    DeviceError : if a single tile has more pairs than the limit.
+    """
+    if counts.max(initial=0) > limit:
+        raise DeviceError(f"{counts.max()} pairs of tile and splat in a single tile, more than "
+                          f"{limit}: use fewer gaussians (--max-gaussians)")
+    ends = np.cumsum(counts)
+    bands, first = [], 0
+    while first < len(counts):
+        before = ends[first] - counts[first]
+        end = int(np.searchsorted(ends, before + limit, side="right"))
+        bands.append(range(first, end))
+        first = end
+    return tuple(bands)
+
+
+def pair_limit(device: Device, width: int, height: int, with_depth: bool) -> int:
+    """The largest number of pairs of a band for which the device has memory and kernels have
+    indices: reals for the gradients of each pair, and its share of a bucket's checkpoints."""
+    grads = pair_columns(3, with_depth)
+    checkpoints = HAS_BUCKETS.of(device) * (4 + with_depth) * device.tile**2 // device.bucket
+    real, (tiles_x, tiles_y) = device.real.itemsize, tile_grid(device, width, height)
+    # each tile may have a partial bucket
+    spare = device.bucket * tiles_x * tiles_y if checkpoints else 0
+    at_once = FRAME_SHARE * device.handle.global_mem_size / (
+        2 * INDEX_BYTES + (grads + checkpoints) * real)
+    in_a_buffer = BUFFER_SHARE * device.largest_buffer / (max(grads, checkpoints) * real)
+    return min(PAIR_LIMIT, int(min(at_once, in_a_buffer)) - spare)

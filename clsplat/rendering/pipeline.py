@@ -14,7 +14,6 @@ from clsplat.device import Array, Device
 from clsplat.errors import ShapeError
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
-from clsplat.rendering.bands import choose_bands, pair_limit
 from clsplat.rendering.bin import NEEDS_ORDER, Pairs, TooManyPairs, bin_splats, count_tiles
 from clsplat.rendering.blend import (
     MOST_CHANNELS,
@@ -26,6 +25,8 @@ from clsplat.rendering.blend import (
     blend,
     blend_adjoint,
     blend_defines,
+    choose_bands,
+    pair_limit,
 )
 from clsplat.rendering.cull import cull
 from clsplat.rendering.project import (
@@ -131,7 +132,7 @@ class Renderer:
     low_pass : added to the variances of a splat, pixels squared.
     smooth_cutoff : for tests only (cl/include/footprint.h).
     pair_limit : pairs of tile and splat at a time; a frame that has more is rendered in bands, to
-        the same bytes. None: as many as the device has memory for (bands.py).
+        the same bytes. None: as many as the device has memory for (blend.py).
 
     Attributes
     ----------

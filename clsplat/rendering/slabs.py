@@ -29,8 +29,7 @@ from clsplat.constants import ALPHA_STEPS, SPLAT_REALS, TRANSMITTANCE_MIN
 from clsplat.device import Array, Device
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.primitives.compact import compact, new_counts
-from clsplat.rendering.bands import BUFFER_SHARE
-from clsplat.rendering.blend import Blended
+from clsplat.rendering.blend import BUFFER_SHARE, Blended
 from clsplat.rendering.cull import cull
 from clsplat.rendering.pipeline import Frame, Renderer
 from clsplat.rendering.project import (

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.device import Array
-from clsplat.rendering.bands import choose_bands
+from clsplat.rendering.blend import choose_bands
 from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Rows
 

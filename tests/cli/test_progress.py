@@ -60,8 +60,8 @@ def test_a_terminal_gets_one_line_that_fits(columns, monkeypatch):
     assert training and not any("?" in line for line in lines)
     assert "left" not in training[0] and "it/s" not in training[0]  # nothing is known yet
     if columns == 80:
-        assert training[-1].strip() == ("training at 1/3 size, [--------------------], 150/300000, "
-                                        "1:40:37 left")
+        assert training[-1].strip() == ("training at 1/3 size, 150/300000, 1:40:37 left, "
+                                        "[--------------------]")
     if columns == 200:
         assert "1,229,336 gaussians, 9,216 MiB" in training[-1]
 

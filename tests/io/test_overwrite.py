@@ -27,33 +27,21 @@ def overwritten(run):
     return {path.relative_to(run.path).as_posix() for path in run.path.rglob("*")}
 
 
-def test_pictures_behind_a_link_stay(tmp_path):
-    """Fault C1 of the hostile trial: renders/ was a link to a folder of the user's pictures."""
-    run = made(tmp_path / "run")
-    pictures = tmp_path / "pictures"
-    (pictures / "test").mkdir(parents=True)
-    (pictures / "test" / "a.jpg.png").write_bytes(b"mine")
-    (run.path / "renders").symlink_to(pictures)
-    run.renders.note("test", ["a.jpg"])  # through the link, as `clsplat eval` does
-    overwritten(run)
-    assert (pictures / "test" / "a.jpg.png").read_bytes() == b"mine"
-    assert (run.path / "renders").is_symlink()
-
-
-@pytest.mark.parametrize("place", ["renders/test"])
-def test_a_folder_inside_that_is_a_link_is_not_followed(tmp_path, place):
-    run = made(tmp_path / "run")
+@pytest.mark.parametrize("place", ["renders", "renders/test"])
+def test_a_folder_that_is_a_link_is_not_followed(tmp_path, place):
+    run, link, theirs = made(tmp_path / "run"), tmp_path / "run" / place, tmp_path / "theirs"
     run.renders.note("test", ["level_3.ply", "a.jpg"])
-    theirs = tmp_path / "theirs"
-    theirs.mkdir()
-    for name in ("level_3.ply.png", "a.jpg.png", "level_3.ply"):
-        (theirs / name).write_bytes(b"mine")
-    link = run.path / place
+    names = ("level_3.ply.png", "a.jpg.png", "level_3.ply")
+    files = [theirs / folder / name for folder in (".", "test") for name in names]
+    (theirs / "test").mkdir(parents=True)
+    for file in files:
+        file.write_bytes(b"mine")
     if link.exists():
         os.rename(link, tmp_path / "before")
     link.symlink_to(theirs)
+    run.renders.note("test", ["level_3.ply", "a.jpg"])  # through the link, as `clsplat eval` does
     overwritten(run)
-    assert len(list(theirs.iterdir())) == 3 and link.is_symlink()
+    assert all(file.read_bytes() == b"mine" for file in files) and link.is_symlink()
 
 
 def test_files_of_the_user_stay(tmp_path):

@@ -7,9 +7,8 @@ import pyopencl.tools
 import pytest
 
 from clsplat.errors import DeviceError, OutOfDeviceMemory
-from clsplat.rendering.bands import choose_bands
 from clsplat.rendering.bin import PAIR_LIMIT, count_tiles, tile_grid
-from clsplat.rendering.blend import Exposure
+from clsplat.rendering.blend import Exposure, choose_bands
 from clsplat.rendering.contribution import contribution
 from tests import cases
 from tests.kernels.chain import gradients_by_row, render, size_of

@@ -7,7 +7,7 @@ Left out, because float sums are then added in another order: the kernel form an
 import pytest
 
 from clsplat.device import Device
-from clsplat.rendering.bands import choose_bands
+from clsplat.rendering.blend import choose_bands
 from tests.data.tiny_training import LEVELLED, model_digest, records, trained
 
 SHORT = {"iterations": 50, "densify_until": 45, "densify_every": 10, "max_gaussians": 7000,

@@ -155,37 +155,32 @@ def read_elements(path: str | Path) -> tuple[dict[str, plyfile.PlyElement], tupl
 
 def _checked(file: io.BufferedReader) -> io.BufferedIOBase:
     """The file from its start, for plyfile; or a copy if its rows are text, which plyfile would
-    leave open, or if its header is not ASCII, as in some comments, whose bytes become "?"."""
-    header = _header(file)
-    file.seek(0)
-    if header.isascii() and not ASCII_FORMAT.search(header):
-        return file
-    file.seek(len(header))
-    return io.BytesIO(bytes(byte if byte < 128 else ord("?") for byte in header) + file.read())
+    leave open, or if its header is not ASCII, as in some comments, whose bytes become "?".
 
-
-def _header(file: io.BufferedReader) -> bytes:
-    """The bytes up to end_header; ValueError if it is missing, or if it claims more rows than the
-    file can hold, for which plyfile would allocate memory."""
+    ValueError if end_header is missing, or if the header claims more rows than the file can hold,
+    for which plyfile would allocate memory.
+    """
     begin = file.read(HEADER_BYTES)
     end = END_HEADER.search(begin)
     if not begin.startswith(b"ply") or not end:
         raise ValueError("it has no PLY header from ply to end_header")
-    element = claimed = 0
-    text = False
-    for line in begin[:end.start()].splitlines():
+    header = begin[:end.end()]
+    is_text = bool(ASCII_FORMAT.search(header))
+    rows = claimed = 0
+    for line in header.splitlines():
         match line.split():
-            case [b"format", kind, *_]:
-                text = kind == b"ascii"
             case [b"element", _, count]:
-                element = int(count)
+                rows = int(count)
             case [b"property", _, *_]:
-                # as text a digit and a space; else at least a byte
-                claimed += element * (2 if text else 1)
-    size = file.seek(0, 2)
+                claimed += rows * (2 if is_text else 1)  # as text a digit and a space
+    size = file.seek(0, io.SEEK_END)
     if claimed > size + 1:  # the last digit needs no space
         raise ValueError(f"its {size} bytes are too few for the rows in its header")
-    return begin[:end.end()]
+    file.seek(0)
+    if header.isascii() and not is_text:
+        return file
+    file.seek(len(header))
+    return io.BytesIO(bytes(byte if byte < 128 else ord("?") for byte in header) + file.read())
 
 
 def _sh_degree(path: str | Path, names: Iterable[str]) -> int:

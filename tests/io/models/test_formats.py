@@ -6,19 +6,19 @@ import zipfile
 import zlib
 
 import numpy as np
+import plyfile
 import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from clsplat.edit.transform import transformed
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.models.formats import SUFFIXES, count_of, read_model, write_model
 from clsplat.io.models.gltf import write_spz_glb
-from clsplat.io.models.ply import write_ply
 from clsplat.io.models.values import half_turn
-from tests.io.models.test_ply import UTM, equal, random_gaussians
-from tests.reference.project import harmonics
+from tests.io.models.test_ply import UTM, random_gaussians
 
 POINTS = (".las", ".laz")
 # largest errors of positions (share of the extent), log scales, rotations (radians), colours,
@@ -133,29 +133,15 @@ def test_unused_harmonics_are_not_written(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_half_turn_shows_the_same_colours(axis):
+def test_a_half_turn_is_that_rotation(axis):
     gaussians = model(20, 3)
     turned = half_turn({name: values.astype(np.float64) for name, values in
                         gaussians.rows.items()}, axis)
-    turn = Rotation.from_rotvec(np.pi * np.eye(3)[axis])
-    directions = np.random.default_rng(0).normal(size=(20, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-
-    def colours(rows, directions):
-        coefficients = np.concatenate([rows["sh_constant"][:, None], rows["sh_rest"]], axis=1)
-        return np.einsum("nb,nbc->nc", harmonics(directions, 3)[0], coefficients)
-
-    assert np.allclose(colours(turned, turn.apply(directions)),
-                       colours(gaussians.rows, directions), atol=1e-5)
-    assert np.allclose(turned["positions"], turn.apply(gaussians.positions), atol=1e-12)
-
-    def covariance(rows):
-        matrix = Rotation.from_quat(np.roll(rows["quaternions"], -1, axis=1)).as_matrix()
-        half = matrix * np.exp(rows["log_scales"])[:, None]
-        return half @ half.transpose(0, 2, 1)
-
-    matrix = turn.as_matrix()
-    assert np.allclose(covariance(turned), matrix @ covariance(gaussians.rows) @ matrix.T)
+    expected = transformed(gaussians, rotation=Rotation.from_rotvec(
+        np.pi * np.eye(3)[axis]).as_matrix())
+    assert turns(turned["quaternions"], expected.quaternions).max() < 1e-6
+    for name in ("positions", "log_scales", "sh_constant", "sh_rest", "opacity_logits"):
+        assert np.allclose(turned[name], expected.rows[name], atol=1e-6), name
 
 
 def test_glb_is_upright_and_says_what_it_is(tmp_path):
@@ -203,7 +189,7 @@ def test_damage_is_one_line(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     write_model(path, model(40, 1))
     data = path.read_bytes()
-    for cut in (0, 1, 7, 15, len(data) // 2 + 1, len(data) - 1):
+    for cut in (0, 7, len(data) // 2 + 1, len(data) - 1):
         path.write_bytes(data[:cut])
         with pytest.raises(InputError) as caught:
             read_model(path)
@@ -243,27 +229,22 @@ def test_points_in_map_coordinates(tmp_path, suffix):
             read_model(path)
 
 
-def test_clouds(tmp_path):
+@pytest.mark.parametrize("kind, scale", [("u1", 1), ("u2", 257), ("f4", 1 / 255)])
+def test_clouds(tmp_path, kind, scale):
     points = np.random.default_rng(0).normal(size=(60, 3)) + UTM
     colours = np.random.default_rng(1).integers(0, 256, (60, 3))
-    for kind, scale in (("u1", 1), ("u2", 257), ("f4", 1 / 255)):
-        table = np.zeros(60, [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("red", kind),
-                              ("green", kind), ("blue", kind)])
-        for name, values in zip(table.dtype.names, [*points.T, *(scale * colours).T]):
-            table[name] = values
-        types = {"u1": "uchar", "u2": "ushort", "f4": "float"}
-        lines = ["ply", "format binary_little_endian 1.0", "element vertex 60",
-                 *(f"property double {n}" for n in "xyz"),
-                 *(f"property {types[kind]} {n}" for n in ("red", "green", "blue")), "end_header"]
-        path = tmp_path / "a.ply"
-        path.write_bytes("\n".join([*lines, ""]).encode() + table.tobytes())
-        found = read_model(path)
-        assert np.abs(world(found) - points).max() < 1e-5 and found.sh_degree == 0
-        assert np.abs(255 * (0.5 + 0.28209479 * found.sh_constant) - colours).max() < 0.01
-        assert np.array_equal(read_model(path, UTM).offset, UTM)
-    write_ply(tmp_path / "b.ply", random_gaussians())
-    assert equal(read_model(tmp_path / "b.ply"), random_gaussians())
-    path.write_bytes("\n".join([*lines, ""]).encode() + np.repeat(table[:1], 60).tobytes())
+    table = np.zeros(60, [*((name, "f8") for name in "xyz"),
+                          *((name, kind) for name in ("red", "green", "blue"))])
+    for name, values in zip(table.dtype.names, [*points.T, *(scale * colours).T]):
+        table[name] = values
+    path = tmp_path / "a.ply"
+    plyfile.PlyData([plyfile.PlyElement.describe(table, "vertex")]).write(path)
+    found = read_model(path)
+    assert np.abs(world(found) - points).max() < 1e-5 and found.sh_degree == 0
+    assert np.abs(255 * (0.5 + 0.28209479 * found.sh_constant) - colours).max() < 0.01
+    assert np.array_equal(read_model(path, UTM).offset, UTM)
+    same = np.repeat(table[:1], 60)
+    plyfile.PlyData([plyfile.PlyElement.describe(same, "vertex")]).write(path)
     with pytest.raises(InputError, match="fewer than two places"):
         read_model(path)
 
