@@ -49,56 +49,35 @@ def partition_map(partition: Partition, scene: Scene, counts: NDArray[np.integer
     rings = [outline(region, *ends) for region in partition.regions]
     corners = np.concatenate(rings)
     width, height = np.ptp(corners, axis=0)
+    (left, low), (right, high) = corners.min(axis=0), corners.max(axis=0)
+    views = [len(views) for views in partition.views]
+    mean = sum(views) / max(1, len(np.unique(np.concatenate(partition.views))))
+    dropped = f", {len(partition.dropped)} in none" if partition.dropped else ""
     with own_settings(**{"axes.grid": False}):
         figure = Figure(figsize=(WIDTH, np.clip(0.9 * WIDTH * height / width, *HEIGHTS)),
                         layout="constrained")
         axes = figure.subplots()
-        _draw_points(axes, partition, scene, points)
+        step = max(1, -(-len(points) // MOST_POINTS))
+        x, y = partition.space.map(points[::step]).T
+        axes.scatter(x, y, s=3, linewidths=0, rasterized=True, zorder=1,
+                     c=WHITE_SHARE + (1 - WHITE_SHARE) * scene.colours[::step] / 255)
         axes.add_collection(PolyCollection(
             [ring for ring in rings if len(ring)], facecolors="none", edgecolors="#1d1f21",
             linewidths=1.3, zorder=3))
         for block, ring in enumerate(rings):
             if len(ring):
-                _label(axes, block, ring, partition, f"{counts[block]:,} {counted}")
+                few = len(rings) <= MOST_LABELLED
+                axes.annotate(
+                    f"{block}" + few * f"\n{counts[block]:,} {counted}\n{views[block]} views",
+                    tuple(centroid(ring)), ha="center", va="center", fontsize=9, fontweight="bold",
+                    zorder=5, path_effects=[withStroke(linewidth=3, foreground="white")])
         _draw_cameras(figure, axes, partition, scene)
-        axes.set_xlim(*_limits(corners[:, 0]))
-        axes.set_ylim(*_limits(corners[:, 1]))
-        axes.set_aspect("equal")
-        axes.set_xlabel("x of the map, world units")
-        axes.set_ylabel("y of the map, world units")
-        axes.set_title(_title(partition, scene))
+        axes.set(xlim=(left - 0.02 * width, right + 0.02 * width), aspect="equal",
+                 ylim=(low - 0.02 * height, high + 0.02 * height),
+                 xlabel="x of the map, world units", ylabel="y of the map, world units")
+        axes.set_title(f"{scene.name}: {len(views)} blocks by {partition.method}, a view in "
+                       f"{mean:.1f} of them{dropped}")
     return figure
-
-
-def _title(partition: Partition, scene: Scene) -> str:
-    counts = [len(views) for views in partition.views]
-    mean = sum(counts) / max(1, len(np.unique(np.concatenate(partition.views))))
-    dropped = f", {len(partition.dropped)} in none" if partition.dropped else ""
-    return (f"{scene.name}: {len(counts)} blocks by {partition.method}, a view in {mean:.1f} of "
-            f"them{dropped}")
-
-
-def _limits(values: NDArray[np.float64]) -> tuple[float, float]:
-    room = 0.02 * np.ptp(values)
-    return values.min() - room, values.max() + room
-
-
-def _draw_points(axes: Axes, partition: Partition, scene: Scene, points: NDArray[np.float64]
-                 ) -> None:
-    step = max(1, -(-len(points) // MOST_POINTS))
-    x, y = partition.space.map(points[::step]).T
-    colours = WHITE_SHARE + (1 - WHITE_SHARE) * scene.colours[::step] / 255
-    axes.scatter(x, y, s=3, c=colours, linewidths=0, rasterized=True, zorder=1)
-
-
-def _label(axes: Axes, block: int, ring: NDArray[np.float64], partition: Partition, count: str
-           ) -> None:
-    lines = [str(block)]
-    if len(partition.regions) <= MOST_LABELLED:
-        lines += [count, f"{len(partition.views[block])} views"]
-    axes.annotate("\n".join(lines), tuple(centroid(ring)), ha="center", va="center", fontsize=9,
-                  fontweight="bold", zorder=5,
-                  path_effects=[withStroke(linewidth=3, foreground="white")])
 
 
 def _draw_cameras(figure: Figure, axes: Axes, partition: Partition, scene: Scene) -> None:

@@ -52,5 +52,5 @@ def write_preview(file: BinaryIO, colours: NDArray[np.uint8], heights: NDArray[n
         if interval and min(heights.shape) > 1:
             levels = np.arange(np.ceil(low / interval), high / interval) * interval
             surface.contour(smooth, levels, extent=extent, origin="upper", colors="black",
-                            linewidths=0.6, alpha=0.6)
+                            linestyles="solid", linewidths=0.6, alpha=0.6)
         figure.savefig(file, format="png")

@@ -136,23 +136,6 @@ def test_where_nothing_is_known(item_device, tmp_path):
 
 
 @pytest.mark.slow
-def test_faint_ground_has_the_colour_of_the_training(item_device, tmp_path):
-    """What shows through is the background, as where the photos taught it; fainter is a hole."""
-    scene, run = made.scene(None), run_of(tmp_path, made.scene(None))
-    run.finished_model.opacity_logits[:] = -1.2
-    grid = map_grid(scene, 0.1)
-    write_map(run, scene, grid, item_device, tmp_path, points=False, interval=0)
-    ground = rasters(tmp_path)[0][15:40, 15:40].reshape(-1, 4)
-    covered = ground[:, :3] / np.multiply(made.GROUND_RED, 255)
-    assert (ground[:, 3] == 255).all() and 0.5 < covered.min() and covered.max() < 0.9
-    assert np.ptp(covered, axis=1).max() < 0.03
-    assert not (tmp_path / "contours.geojson").exists()
-    run.finished_model.opacity_logits[:] = -3
-    with pytest.raises(InputError, match="train longer"):
-        write_map(run, scene, grid, item_device, tmp_path / "fainter", points=False)
-
-
-@pytest.mark.slow
 def test_the_surface_as_points(item_device, tmp_path, monkeypatch):
     laspy = pytest.importorskip("laspy", reason="laspy is not installed (extra geo)")
     pytest.importorskip("lazrs", reason="lazrs is not installed (extra geo)")

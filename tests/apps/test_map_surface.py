@@ -115,18 +115,6 @@ def test_a_pit_is_left_out_and_a_true_hole_stays(item_device, tmp_path):
 
 
 @pytest.mark.slow
-def test_below_all_points_nothing_is_known(item_device, tmp_path):
-    """Where the ground is missing altogether, a stray gaussian far below is no surface."""
-    run, scene = run_of(tmp_path, made.scene(None)), made.scene(None)
-    model = run.finished_model
-    gone = (model.positions[:, :2] > 5).all(axis=1)
-    model.positions[gone, 2] = -40
-    write_map(run, scene, map_grid(scene, 0.1), item_device, tmp_path, points=False)
-    heights = rasters(tmp_path)[1]
-    assert np.nanmin(heights) > 6.5 and np.isnan(heights[20:50, -50:-20]).all()
-
-
-@pytest.mark.slow
 def test_small_holes_are_filled_on_request(item_device, tmp_path):
     run, scene = run_of(tmp_path, made.scene(None)), made.scene(None)
     model, grid = run.finished_model, map_grid(scene, 0.1)

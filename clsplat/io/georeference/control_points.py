@@ -24,10 +24,10 @@ from clsplat.io.georeference.crs import (
     has_metres,
     heights_of,
     horizontal,
+    map_positions,
     normal_crs,
     on_ground,
 )
-from clsplat.io.georeference.earth import map_positions
 from clsplat.io.reason import clean, reason
 from clsplat.io.regular import read_regular
 

@@ -162,6 +162,31 @@ def on_ground(source: str, target: str, points: ArrayLike) -> NDArray[np.float64
     return result
 
 
+def map_positions(degrees: ArrayLike, heights: ArrayLike, crs: str | None = None
+                  ) -> tuple[NDArray[np.float64], str]:
+    """Map coordinates of places.
+
+    Parameters
+    ----------
+    degrees : float[N, 2], latitudes and longitudes, WGS 84; at least one place.
+    heights : float[N], metres, which are not changed.
+    crs : as `normal_crs` returns it; None: the UTM zone of the places.
+
+    Returns
+    -------
+    float64[N, 3], east, north and height, nan for places that the CRS cannot represent; and that
+    CRS.
+    """
+    places = np.column_stack([np.asarray(degrees)[:, ::-1], heights]).astype(np.float64)
+    valid = (np.abs(places[:, :2]) <= (180, 90)).all(axis=1)
+    result = np.full_like(places, np.nan)
+    if not valid.any():
+        return result, crs or WGS84
+    target = crs or utm_zone(*np.median(places[valid, :2], axis=0))
+    result[valid] = on_ground(WGS84, target, places[valid])
+    return result, target
+
+
 def cloud_on_map(system: Any, target: str, points: NDArray[np.float64], path: Path | str
                  ) -> NDArray[np.float64] | None:
     """Points of a file in the CRS of a scene; None if they are in it already.

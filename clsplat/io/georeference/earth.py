@@ -1,4 +1,4 @@
-"""From places on the earth to those of a map: positions by GPS, and whole reconstructions.
+"""From the earth to a map: reconstructions in geocentric coordinates.
 
 A reconstruction is rigid, a map is not: near one place a map is a similarity of the earth up to
 its curvature, which over a kilometre makes centimetres. So a scene is moved to the map by the
@@ -8,45 +8,13 @@ similarity at the middle of its cameras, and what it misses is stated as the res
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clsplat.georeference import Georeference
-from clsplat.io.georeference.crs import (
-    GEOCENTRIC,
-    GEODETIC,
-    WGS84,
-    converter,
-    on_ground,
-    utm_zone,
-)
+from clsplat.io.georeference.crs import GEOCENTRIC, GEODETIC, converter, utm_zone
 from clsplat.placement.similarity import Similarity
 
 STEP = 50.0  # metres, over which the map is differentiated
-
-
-def map_positions(degrees: ArrayLike, heights: ArrayLike, crs: str | None = None
-                  ) -> tuple[NDArray[np.float64], str]:
-    """Map coordinates of places.
-
-    Parameters
-    ----------
-    degrees : float[N, 2], latitudes and longitudes, WGS 84; at least one place.
-    heights : float[N], metres, which are not changed.
-    crs : as `normal_crs` returns it; None: the UTM zone of the places.
-
-    Returns
-    -------
-    float64[N, 3], east, north and height, nan for places that the CRS cannot represent; and that
-    CRS.
-    """
-    places = np.column_stack([np.asarray(degrees)[:, ::-1], heights]).astype(np.float64)
-    valid = (np.abs(places[:, :2]) <= (180, 90)).all(axis=1)
-    result = np.full_like(places, np.nan)
-    if not valid.any():
-        return result, crs or WGS84
-    target = crs or utm_zone(*np.median(places[valid, :2], axis=0))
-    result[valid] = on_ground(WGS84, target, places[valid])
-    return result, target
 
 
 def topocentric(latitude: float, longitude: float, height: float) -> Similarity:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,23 +12,36 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from clsplat.georeference import CHECK, CONTROL, LEFT_OUT, Georeference, Residual
-from clsplat.io.georeference.adjustment import NotGeoreferenced, adjust, locate, residuals
+from clsplat.io.georeference.adjustment import (
+    Located,
+    NotGeoreferenced,
+    adjust,
+    locate,
+    residuals,
+)
 from clsplat.io.georeference.control_points import ControlPoint
-from clsplat.io.georeference.measured import (
-    Measured,
-    by_control,
-    by_gps,
-    listed,
-    require_near_gps,
+from clsplat.io.georeference.crs import (
+    UTM_EPSG,
+    heights_of,
+    horizontal,
+    map_positions,
+    outside,
 )
 from clsplat.io.photos.metadata import PhotoMetadata
-from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, Alignment
-from clsplat.placement.plausible import Implausible, believed, doubts
+from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, LEAST_POSITIONS, Alignment
+from clsplat.placement.plausible import Guess, Implausible, believed, doubts
 from clsplat.placement.similarity import Similarity, rotation_to
 from clsplat.placement.up import CAMERA_DEGREES, UP, Vertical, gimbal_up
 
 LEAST_GIMBALS = 0.5  # share of the photos whose gimbals must be known
 LOWEST_GROUND = -30.0  # metres; hardly any land lies lower
+UNKNOWN_STD = 3.0  # metres, of GPS that does not state it, among photos that do
+UTM_LATITUDES = (-80.0, 84.0)  # degrees
+FOOT = 0.3048
+FARTHEST = 1000.0  # metres from the photos' GPS to where control points place them
+ELLIPSOIDAL = "the photos' GPS altitudes, above the ellipsoid"
+SEA_LEVEL = "the photos' GPS altitudes, nominally above sea level"
+EXCHANGED = "are x and y exchanged, or has one of them the wrong sign?"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +92,7 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     known_up = _vertical(images, points, metadata, up)
     located, lost = locate(reconstruction, control)
     used = [item for item in located if not item.point.is_check]
-    measured = by_control(used, lost, crs or "", vertical) if control else by_gps(
+    measured = _by_control(used, lost, crs or "", vertical) if control else _by_gps(
         images, metadata, crs)
     result = _believed(measured, known_up, bool(control))
     if control:
@@ -99,7 +112,7 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
                           residuals=errors, heights_count=True)
     else:
         wrong = [name for name, right in zip(measured.names, result.used) if not right]
-        without = f", without {listed(wrong)}, whose positions are wrong" if wrong else ""
+        without = f", without {_listed(wrong)}, whose positions are wrong" if wrong else ""
         source, errors = f"GPS of {result.used.sum()} photos{without}", (
             result.horizontal, result.vertical)
         found = _missed(measured, result)
@@ -152,7 +165,135 @@ def _content(reconstruction: pycolmap.Reconstruction) -> tuple[list[Any], NDArra
         [point.xyz for point in reconstruction.points3D.values()]).reshape(-1, 3)
 
 
-def _believed(measured: Measured, known_up: Vertical, is_control: bool) -> Alignment:
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """Positions of photos or of ground control points: `places` in the reconstruction, and
+    `positions` in map coordinates, nan for what is unknown, with what they may be instead."""
+
+    names: tuple[str, ...]
+    places: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    guesses: tuple[Guess, ...]
+    crs: str
+    vertical: str
+    std: NDArray[np.float64] | None = None
+    notes: tuple[str, ...] = ()
+
+
+def _by_control(located: Sequence[Located], lost: Sequence[str], crs: str, vertical: str
+               ) -> _Measured:
+    """Ground control points; NotGeoreferenced if they are too few, or outside their CRS."""
+    if len(located) < LEAST_POSITIONS:
+        missing = f" (not located: {_listed(lost)})" if lost else ""
+        raise NotGeoreferenced(
+            f"--gcp: {len(located)} of {len(located) + len(lost)} ground control points can be "
+            f"located in the photos, and {LEAST_POSITIONS} are needed{missing}; mark each in two "
+            "photos or more, by the names and in the pixels of the photos that were reconstructed")
+    positions = np.array([item.point.position for item in located])
+    degrees = (np.abs(positions[:, :2]) <= (180, 90)).all()
+    where = outside(crs, positions) or (
+        "within 200 m of the origin" if degrees and UTM_EPSG.fullmatch(crs) else "")
+    exchanged = positions[:, [1, 0, 2]]
+    if where:
+        question = (": are they degrees? Then EPSG:4326 belongs into the first line" if degrees else
+                    ": are x and y exchanged?" if not outside(crs, exchanged) else
+                    ": is it the right CRS, and are they complete?")
+        raise NotGeoreferenced(f"--gcp: the ground control points lie {where}, outside the area "
+                               f"of {crs[:60]}{question}")
+    return _Measured(
+        tuple(item.point.name for item in located), np.array([item.place for item in located]),
+        positions, (Guess(EXCHANGED, exchanged),
+                    Guess("are heights positive downwards?", positions * (1, 1, -1)),
+                    Guess("are heights in feet?", positions * (1, 1, FOOT))), crs, vertical)
+
+
+def _by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: str | None
+           ) -> _Measured:
+    """Positions of photos; NotGeoreferenced if they are too few, or outside the CRS."""
+    photos, centres, degrees = _gps(images, metadata)
+    if len(photos) < LEAST_POSITIONS:
+        raise NotGeoreferenced("no photo has GPS" if not photos else
+                               f"only {len(photos)} photos have GPS", expected=True)
+    known = [metadata[name] for name in photos]
+    heights = np.array([photo.altitude for photo in known], np.float64)  # unknown: nan
+    latitude, longitude = np.median(degrees, axis=0)
+    if crs is None and not UTM_LATITUDES[0] <= latitude <= UTM_LATITUDES[1]:
+        raise NotGeoreferenced(
+            f"the photos' GPS is at latitude {latitude:.3f}, where UTM has no zones: are latitude "
+            "and longitude exchanged? If not, give a CRS, "
+            f'such as --crs "+proj=tmerc +lat_0={latitude:.0f} +lon_0={longitude:.0f} '
+            '+datum=WGS84"')
+    vertical = ELLIPSOIDAL if all(photo.above_ellipsoid for photo in known) else SEA_LEVEL
+    notes = []
+    if crs and heights_of(crs).name:
+        notes.append(f"heights are not in {heights_of(crs).name}: they are {vertical}, and are not "
+                     "converted")
+        crs = horizontal(crs)
+    positions, own = map_positions(degrees, heights, crs)
+    if crs is not None:
+        finite = positions[np.isfinite(positions[:, 0])]
+        where = outside(own, finite) if len(finite) else "nowhere"
+        if where:
+            raise NotGeoreferenced(f"the photos' GPS lies {where}, outside the area of {own[:60]}; "
+                                   "give another --crs, or leave it out")
+    void = sum(photo.void for photo in known)
+    if void:
+        notes.append(f"the receiver marked the positions of {void} photos as void; they are used")
+    std = None
+    if any(photo.gps_std is not None for photo in known):
+        std = np.array([photo.gps_std or 3 * (UNKNOWN_STD,) for photo in known])
+    guesses = tuple(Guess(question, map_positions(other, heights)[0])
+                    for question, other in _other_degrees(degrees))
+    return _Measured(tuple(photos), centres, positions, guesses, own, vertical, std, tuple(notes))
+
+
+def _gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata]
+         ) -> tuple[list[str], NDArray[np.float64], NDArray[np.float64]]:
+    """Of the images whose photos have GPS: names, centres [N, 3], latitudes and longitudes [N, 2].
+    """
+    found = [(image, metadata[image.name]) for image in images
+             if image.name in metadata and metadata[image.name].latitude is not None]
+    return ([image.name for image, _ in found],
+            np.array([image.projection_center() for image, _ in found]).reshape(-1, 3),
+            np.array([(known.latitude, known.longitude) for _, known in found],
+                     np.float64).reshape(-1, 2))
+
+
+def _other_degrees(degrees: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """What latitudes and longitudes [N, 2] may be instead."""
+    if (np.abs(degrees[:, 1]) <= 90).all():
+        yield "are latitude and longitude exchanged?", degrees[:, ::-1]
+    for column in (1, 0):
+        for sign in (-1, 1):
+            other = degrees.copy()
+            other[:, column] = sign * np.abs(other[:, column])
+            if not np.array_equal(other, degrees):
+                yield "is the longitude (E, W) or the latitude (N, S) wrong in sign?", other
+
+
+def require_near_gps(result: Alignment, images: Sequence[Any],
+                     metadata: Mapping[str, PhotoMetadata], crs: str) -> None:
+    """NotGeoreferenced if control points place the photos far from their own GPS."""
+    names, centres, degrees = _gps(images, metadata)
+    if len(names) < LEAST_POSITIONS:
+        return
+    gps, _ = map_positions(degrees, np.zeros(len(names)), horizontal(crs))
+    away = np.linalg.norm((result.similarity(centres) - gps)[:, :2], axis=1)
+    # what the CRS cannot represent is on the other side of the earth
+    distance = float(np.median(np.nan_to_num(away, nan=2e7)))
+    if distance > FARTHEST:
+        raise NotGeoreferenced(
+            f"--gcp: the ground control points place the photos {distance / 1000:.0f} km from "
+            "their GPS: is it the right CRS, and are x and y exchanged?")
+
+
+def _listed(names: Sequence[str], shown: int = 5) -> str:
+    """Some names, and how many others there are."""
+    rest = len(names) - shown
+    return ", ".join(names[:shown]) + (f" and {rest} others" if rest > 0 else "")
+
+
+def _believed(measured: _Measured, known_up: Vertical, is_control: bool) -> Alignment:
     try:
         return believed(
             measured.places, measured.positions, known_up, measured.guesses, std=measured.std,
@@ -165,7 +306,7 @@ def _believed(measured: Measured, known_up: Vertical, is_control: bool) -> Align
         raise NotGeoreferenced(f"{kind} {error}{cure}") from None
 
 
-def _missed(measured: Measured, result: Alignment) -> tuple[Residual, ...]:
+def _missed(measured: _Measured, result: Alignment) -> tuple[Residual, ...]:
     away = np.round(result.similarity(measured.places) - measured.positions, 4)
     return tuple(
         Residual(name, CONTROL if right else LEFT_OUT, east, north,
@@ -184,7 +325,7 @@ def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool
     wrong = [each.name for each in parts[LEFT_OUT]]
     for names, why in ((lost, "cannot be located in the photos"), (wrong, "contradict the others")):
         if names:
-            source += f", without {listed(names)}, which {why}"
+            source += f", without {_listed(names)}, which {why}"
     errors = {role: (_rms([(each.east, each.north) for each in rows]),
                      _rms([(each.up,) for each in rows]), _rms([(each.pixels,) for each in rows]))
               for role, rows in parts.items() if rows}

@@ -142,11 +142,3 @@ def test_heights_keep_what_they_count_from(tmp_path, text, crs, height, target, 
     assert read.points[0].position[2] == pytest.approx(height, abs=1e-4)
     assert any("not labelled as" in note for note in read.notes) == (
         "+" in crs and target != crs)
-
-
-def test_coordinates_that_are_not_on_the_earth(tmp_path):
-    """Metres under the name of a system in degrees."""
-    path = tmp_path / "gcp_list.txt"
-    path.write_text("EPSG:4326\n500010.5 5300020 210 100 200 a.jpg one\n")
-    with pytest.raises(InputError, match="point one has no coordinates in"):
-        read_control_points(path)

@@ -7,13 +7,13 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.io.georeference.crs import (
     conversion,
+    map_positions,
     normal_crs,
     on_ground,
     project_crs,
     scene_crs,
     utm_zone,
 )
-from clsplat.io.georeference.earth import map_positions
 
 
 def test_other_systems():

@@ -5,7 +5,8 @@ import numpy as np
 import pyproj
 import pytest
 
-from clsplat.io.georeference.earth import map_positions, on_map, topocentric
+from clsplat.io.georeference.crs import map_positions
+from clsplat.io.georeference.earth import on_map, topocentric
 from clsplat.placement.similarity import Similarity
 
 HERE, THERE = (30.17115, -98.08987), (-33.9, 18.4)
@@ -17,15 +18,6 @@ def test_the_utm_zone_of_a_place(place, crs, east, north):
     positions, zone = map_positions([place], [7.5])
     assert zone == crs and positions[0] == pytest.approx((east, north, 7.5), abs=0.1)
     assert np.array_equal(map_positions([place], [7.5], crs)[0], positions)
-
-
-@pytest.mark.parametrize("middle, crs, north", [
-    (1e-4, "EPSG:32632", 0), (-1e-4, "EPSG:32732", 1e7)])
-def test_a_flight_across_the_equator_has_one_zone(middle, crs, north):
-    latitudes = middle + 1e-3 * np.arange(-2, 3)
-    positions, zone = map_positions(np.column_stack([latitudes, np.full(5, 9.0)]),
-                                    np.zeros(5))
-    assert zone == crs and np.allclose(positions[:, 1], north + 110_530 * latitudes, atol=0.1)
 
 
 def test_places_that_are_not_on_the_earth():

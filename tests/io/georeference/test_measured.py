@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from clsplat.io.georeference.adjustment import NotGeoreferenced
-from clsplat.io.georeference.earth import map_positions
-from clsplat.io.georeference.measured import require_near_gps
+from clsplat.io.georeference.crs import map_positions
+from clsplat.io.georeference.reconstruction import require_near_gps
 
 
 @pytest.mark.parametrize("wrong, refused", [(1, False), (4, True)])

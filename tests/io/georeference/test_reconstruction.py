@@ -41,21 +41,6 @@ def test_gps_gives_metres_in_the_utm_zone(survey):
     assert all(value == round(value) for value in placed.georeference.offset)
 
 
-def test_a_model_without_points_has_its_origin_among_the_cameras(survey):
-    reconstruction = survey.reconstruction()
-    for number in reconstruction.point3D_ids():
-        reconstruction.delete_point3D(number)
-    placed = place_reconstruction(reconstruction, survey.metadata())
-    assert error(survey, reconstruction, placed.georeference) < 0.02
-
-
-def test_another_crs_moves_the_origin_only(survey):
-    reconstruction = survey.reconstruction()
-    placed = place_reconstruction(reconstruction, survey.metadata(), crs="EPSG:6343")
-    assert placed.georeference.crs == "EPSG:6343"  # NAD83(2011), UTM zone 14: equal to metres
-    assert error(survey, reconstruction, placed.georeference) < 2
-
-
 def test_altitudes_are_not_labelled_as_heights_of_a_crs(survey):
     crs = normal_crs(f"{CRS}+5773")
     placed = place_reconstruction(survey.reconstruction(), survey.metadata(), crs=crs)
@@ -144,13 +129,6 @@ def test_control_points_give_the_place_without_gps(survey):
     placed = place_reconstruction(reconstruction, {}, crs=CRS, control=[*points, unseen])
     assert placed.georeference.source.startswith("5 ground control points, without lost, which")
     assert error(survey, reconstruction, placed.georeference) < 0.05
-
-
-def test_too_few_control_points_are_refused(survey):
-    points = control(survey, best_seen(survey, 4))
-    points[1:] = [replace(point, marks=point.marks[:1]) for point in points[1:]]
-    with pytest.raises(InputError, match=r"--gcp: 1 of 4 .*not located: P\d+, P\d+, P\d+\).*mark"):
-        place_reconstruction(survey.reconstruction(), {}, crs=CRS, control=points)
 
 
 def test_marks_in_the_pixels_of_larger_photos_are_refused(survey):

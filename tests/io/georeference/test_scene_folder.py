@@ -52,12 +52,6 @@ def test_photos_of_a_wide_lens_have_gps(tmp_path, survey):
     assert placed.georeference.source == "GPS of 12 photos"
 
 
-def test_control_points_name_photos_of_the_scene(tmp_path, survey):
-    (tmp_path / "gcp.txt").write_text("EPSG:32614\n1 2 3 4 5 elsewhere.jpg\n")
-    with pytest.raises(InputError, match="no photo has a name of those in the file, such as elsew"):
-        georeference_scene(survey.folder, tmp_path / "out", gcp=tmp_path / "gcp.txt")
-
-
 def test_the_new_folder_may_be_in_that_of_the_scene(tmp_path, survey):
     georeference_scene(survey.folder, survey.folder / "utm")
     assert {path.name for path in survey.folder.iterdir()} == {"images", "sparse", "utm"}

@@ -170,11 +170,8 @@ def _photo(camera: Mapping[str, Any], sensors: Mapping[int, Mapping[str, Any]],
 
 
 def rotation_of(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """float64[3, 3], from the camera (right, down, forward) to the world, of omega, phi, kappa in
-    degrees."""
-    rotation: NDArray[np.float64] = Rotation.from_euler(
-        "XYZ", angles, degrees=True).as_matrix() * FLIPPED
-    return rotation
+    """float64[3, 3], camera (right, down, forward) to world, of omega, phi, kappa in degrees."""
+    return np.asarray(Rotation.from_euler("XYZ", angles, degrees=True).as_matrix() * FLIPPED)
 
 
 def _optics(internals: object, size: tuple[int, int]) -> Optics:

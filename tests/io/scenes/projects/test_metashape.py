@@ -58,15 +58,6 @@ def test_camera_models_are_those_of_the_manual(tmp_path, kind):
     np.testing.assert_allclose(colmap(_optics(sensor), rays()), wanted, atol=1e-9)
 
 
-@pytest.mark.parametrize("label", [
-    lambda name: name.removesuffix(".png"), lambda name: f"/home/user/set 1/{name}",
-    lambda name: f"D:\\flights\\1\\{name}"])
-def test_labels_without_suffix_or_of_another_machine(tmp_path, label):
-    scene = made(tmp_path)
-    write_metashape(tmp_path, scene, label=label)
-    assert [view.name for view in read_scene(tmp_path).views] == [v.name for v in scene.views]
-
-
 def test_points_are_sampled_without_a_file(tmp_path, caplog):
     write_metashape(tmp_path, made(tmp_path))
     assert len(read_scene(tmp_path).points) > 100
@@ -128,14 +119,6 @@ def test_coefficients_that_colmap_has_not(tmp_path, extra, words):
     with pytest.raises(InputError, match=f"coefficient {words}; optimise") as caught:
         read_scene(tmp_path)
     assert "cameras.xml" in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_several_exports(tmp_path):
-    path = write_metashape(tmp_path, made(tmp_path))
-    (tmp_path / "more.xml").write_text(path.read_text())
-    with pytest.raises(InputError, match="several exports.*give the file itself"):
-        read_scene(tmp_path)
-    assert len(read_scene(path).views) == 4
 
 
 def test_entities_are_refused(tmp_path):

@@ -1,7 +1,6 @@
 """Reconstructions of OpenSfM and ODM give the cameras that were written."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pyproj
@@ -112,15 +111,6 @@ def test_what_is_refused(tmp_path, scene, change, words):
     with pytest.raises(InputError, match=words) as caught:
         read_scene(tmp_path)
     assert str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_photos_elsewhere(tmp_path, scene):
-    write_opensfm(tmp_path / "project", scene)
-    (tmp_path / "project/images").rename(tmp_path / "photos")
-    with pytest.raises(InputError, match="--images"):
-        read_scene(tmp_path / "project")
-    read = read_scene(tmp_path / "project", "../photos")
-    assert_same(replace(read, notes=()), scene)
 
 
 @pytest.mark.parametrize("kind, key", [

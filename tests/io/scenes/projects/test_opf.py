@@ -108,15 +108,6 @@ def test_other_ways_to_name_photos(tmp_path):
     assert sorted(view.name for view in read.views)[0] == "a b.png"
 
 
-def test_photos_in_a_folder_beside_the_project(tmp_path):
-    scene = made(tmp_path)
-    write_opf(tmp_path / "project", scene, LOCAL)
-    (tmp_path / "project/images").rename(tmp_path / "photos")
-    path = tmp_path / "project/camera-list.json"
-    path.write_text(path.read_text().replace("images/", "../photos/"))
-    assert_same(read_scene(tmp_path / "project"), scene, points=1e-6)
-
-
 @pytest.mark.parametrize("version, is_read", [
     ("1.0", True), ("0.9-draft4", True), ("1.7", True), (None, False), ("2.0", False),
     ("x", False), (2, False), (1.0, True), ([], False)])
