@@ -87,12 +87,6 @@ def test_tiles_hold_every_pixel_that_is_drawn(device, size):
     check(device, rows_of(130, *size), *size, f"{size}")
 
 
-@pytest.mark.slow
-def test_small_tiles(device, monkeypatch):
-    monkeypatch.setattr(device, "tile", 8)
-    check(device, rows_of(130, 61, 37, seed=2), 61, 37, "tiles of 8")
-
-
 def test_counts_around_the_group_sizes(device):
     for group in (device.group_size, device.scan_group):
         for count in (0, 1, group - 1, group, group + 1):

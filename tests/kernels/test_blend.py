@@ -303,11 +303,3 @@ def test_nothing_is_read_that_was_not_written(group_device, monkeypatch):
 
     monkeypatch.setattr(group_device, "empty", poisoned)
     assert np.array_equal(Blended(group_device, rows, (20, 16)).adjoint(*cotangent), expected)
-
-
-def test_the_same_bytes_every_time(device):
-    rows = pack_splats(*cases.splats(300, 61, 37, seed=10))
-    cotangent = np.random.default_rng(10).normal(size=(3, 37, 61)), np.ones((37, 61))
-    first, second = (Blended(device, rows, (61, 37)) for _ in range(2))
-    assert np.array_equal(first.image, second.image)
-    assert np.array_equal(first.adjoint(*cotangent), second.adjoint(*cotangent))

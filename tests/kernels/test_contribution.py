@@ -82,13 +82,6 @@ def test_a_pixel_ends_before_the_splat_that_would_close_it(double_device):
     assert 0 < third[0] < alone[0]
 
 
-@pytest.mark.parametrize("count", [0, 1, 63, 64, 65, 255, 256, 257])
-def test_lists_around_group_sizes(double_device, count):
-    splats, order = cases.splats(count, 17, 16, seed=count, opacity=(0.006, 0.05), sigma=(3, 9))
-    assert check(double_device, splats, order, (17, 16), f"{count} splats", 0.9
-                 ).shape == (count, 4)
-
-
 def test_rows_are_those_of_the_visible_gaussians(device):
     """Splats are stored by gaussian, not by depth: each alone has its own count."""
     case = cases.gaussians("degree_1")

@@ -9,7 +9,6 @@ from tests.reference.exposure import (
     apply,
     apply_adjoint,
     between,
-    lens_penalty,
     penalty,
     step,
 )
@@ -35,13 +34,6 @@ def test_adjoint_agrees_with_differences(size):
     adjoint_agrees(forward, adjoint, {
         "transform": a_transform(0), "image": cases.images(*size)[0], "terms": LENS[:3]},
         what=f"{size}")
-
-
-def test_lens_penalty_agrees_with_differences():
-    adjoint_agrees(lambda point: {"penalty": np.array(lens_penalty(point["lens"], 0.3)[0])},
-                   lambda point, grads: {"lens": np.append(
-                       lens_penalty(point["lens"], 0.3)[1] * grads["penalty"], 0)},
-                   {"lens": LENS}, what="penalty")
 
 
 def test_penalty_agrees_with_differences():

@@ -9,7 +9,6 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.training import step
-from clsplat.training.frequency import scene_frequency
 from clsplat.training.photos import Thumbnails
 from clsplat.training.start.initialise import initial_gaussians
 from clsplat.training.start.scene_checks import find_warnings
@@ -104,15 +103,6 @@ def test_gaussians_in_other_units(city, tmp_path):
         assert np.allclose(begun.rows[name], values, rtol=1e-5, atol=1e-6), name
         assert np.allclose(own.scaled(scene.unit).rows[name], given.rows[name], rtol=1e-5,
                            atol=1e-5), name
-
-
-def test_frequencies_are_in_world_units(city, item_device):
-    given = initial_gaussians(city, options_of(sh_degree=0))
-    found = [scene_frequency(item_device, {name: item_device.upload(rows.rows[name]) for name in (
-        "log_scales", "opacity_logits")}, unit) for rows, unit in (
-        (given, 1.0), (given.scaled(1 / 250), 250.0))]
-    assert found[0]["robust_mean"] > 0
-    assert found[1] == pytest.approx(found[0], rel=1e-5)
 
 
 # --- what one bad point or camera must not decide
