@@ -28,7 +28,7 @@ GRACE_SECONDS = 120  # for an interrupted worker to save its state
 
 
 def never() -> bool:
-    """The answer of who never stops a job."""
+    """What never stops a job."""
     return False
 
 

@@ -172,14 +172,6 @@ def test_a_block_that_is_there_is_left_alone(city, scene, gaussians):
     assert (block.path / "run").exists()
 
 
-def test_blocks_come_by_number(city):
-    for number in (1000, 7, 999):
-        city.block(number).path.mkdir(parents=True)
-        (city.block(number).path / "block.json").write_text("{}")
-    (city.path / "blocks" / "003").mkdir()  # one without a record is none
-    assert [block.path.name for block in city.blocks()] == ["007", "999", "1000"]
-
-
 DAMAGED = ["", "[]", '{"number": "1"}', '{"fingerprint": 3}', '{"a": NaN}', "\xff"]
 
 

@@ -210,14 +210,6 @@ def test_a_cell_without_points_may_be_empty(city, scene):
 # --- cities that are none
 
 
-def test_overlapping_cells_are_refused(city, scene):
-    record = city.read_partition()
-    record["regions"][0]["high"][0] = 0.01
-    city.write_partition(record)
-    with pytest.raises(InputError, match="partition.json: damaged .*overlap.*clsplat partition"):
-        merge(city, scene)
-
-
 @pytest.mark.parametrize("name, number", [("007", 7), ("0000", 0), ("003", 2)])
 def test_a_folder_of_another_partition_is_refused(city, scene, name, number):
     target = city.path / "blocks" / name
