@@ -7,7 +7,7 @@ from pathlib import Path
 
 from clsplat import gaussians
 from clsplat.io.models.formats import read_model, write_model
-from clsplat.report.model_frame import model_frame
+from clsplat.report.notebook import model_frame
 
 
 class Gaussians(gaussians.Gaussians):

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsplat.camera import Camera
 from clsplat.device import Device
-from clsplat.evaluation.colour import fit_colour
+from clsplat.evaluation.metrics import fit_colour
 from clsplat.evaluation.views import Image, opened, photo_of, render_view, scored_at_once
 from clsplat.gaussians import Gaussians
 from clsplat.io.ahead import called_ahead

@@ -39,7 +39,7 @@ def evaluate(run: Path, device: str, images: bool, lpips: Path | None, align: bo
     runs with and without --poses.
     """
     from clsplat.device import choose_device
-    from clsplat.evaluation.error_map import LEGEND
+    from clsplat.evaluation.pictures import LEGEND
     from clsplat.evaluation.run import Run
     from clsplat.evaluation.views import PANELS, evaluate_run, final_metrics
     opened = Run.open(run)

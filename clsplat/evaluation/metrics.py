@@ -1,4 +1,16 @@
-"""PSNR and SSIM of a render against its photo, or against the part of it that a mask leaves."""
+"""PSNR, SSIM, FLIP and LPIPS of a render against its photo, or against the pixels of it that count,
+and the colour fit, by which exposure does not count as error.
+
+Images are float[H, W, 3], 0 to 1, sRGB; `valid` is bool[H, W], the pixels that count, at least one;
+None: all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -6,18 +18,18 @@ from scipy.ndimage import minimum_filter
 from skimage.metrics import structural_similarity
 
 from clsplat.errors import InputError
+from clsplat.io.reason import reason
 
+Valid = NDArray[np.bool_] | None
 SSIM_WINDOW = 11  # pixels: skimage truncates a gaussian of sigma 1.5 at 3.5 sigma
+# of a monitor 0.7 m wide with 3840 pixels, seen from 0.7 m: the default of Andersson et al. (2020)
+PIXELS_PER_DEGREE = 67.02
+CHUNK_PIXELS = 1 << 16  # ten float64 features of a whole photo would not stay in cache
+EXPORT = "export it from the lpips package with torch.onnx.export"
 
 
-def psnr(image: ArrayLike, photo: ArrayLike, valid: NDArray[np.bool_] | None = None) -> float:
-    """Peak signal-to-noise ratio, dB, over all pixels and channels; inf for equal images.
-
-    Parameters
-    ----------
-    image, photo : float[H, W, 3], 0 to 1.
-    valid : bool[H, W], the pixels that count, at least one; None: all.
-    """
+def psnr(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
+    """Peak signal-to-noise ratio, dB, over all pixels and channels; inf for equal images."""
     errors = _float64(photo) - _float64(image)
     if valid is not None:
         errors = errors[valid]
@@ -26,22 +38,14 @@ def psnr(image: ArrayLike, photo: ArrayLike, valid: NDArray[np.bool_] | None = N
         return float(-10 * np.log10(np.mean(errors**2)))
 
 
-def ssim(image: ArrayLike, photo: ArrayLike, valid: NDArray[np.bool_] | None = None) -> float:
+def ssim(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
     """Structural similarity of Wang et al. (2004), -1 to 1: the mean of its map.
 
     The window is a gaussian of sigma 1.5, truncated to 11x11; K1 = 0.01, K2 = 0.03, population
     covariance, mean of the RGB channels. Pixels whose window would leave the image (a border of 5)
     do not count; the training loss and 3DGS's script pad with zeros instead. With a mask, only
-    pixels do whose whole window counts, or where there are none, all that count themselves.
-
-    Parameters
-    ----------
-    image, photo : float[H, W, 3], 0 to 1.
-    valid : bool[H, W], the pixels that count, at least one; None: all.
-
-    Raises
-    ------
-    InputError : the images are smaller than the window.
+    pixels do whose whole window counts, or if there are none, all that count themselves.
+    InputError if the images are smaller than the window.
     """
     height, width = np.shape(image)[:2]
     if min(height, width) < SSIM_WINDOW:
@@ -60,3 +64,126 @@ def ssim(image: ArrayLike, photo: ArrayLike, valid: NDArray[np.bool_] | None = N
 
 def _float64(image: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(image, np.float64)
+
+
+def flip_map(image: ArrayLike, photo: ArrayLike) -> NDArray[np.float32]:
+    """FLIP of Andersson et al. (2020) for images of limited range, at PIXELS_PER_DEGREE: [H, W],
+    from 0 (no difference is visible to a person) to 1."""
+    import OpenImageIO as oiio
+
+    def linear(image: ArrayLike) -> Any:
+        buffer = oiio.ImageBuf(np.ascontiguousarray(image, np.float32))
+        buffer.specmod().attribute("oiio:ColorSpace", "sRGB")  # which the library converts
+        return buffer
+
+    difference = oiio.ImageBufAlgo.FLIP_diff(linear(photo), linear(image), hdr=0,
+                                             ppd=PIXELS_PER_DEGREE)
+    pixels = difference.get_pixels()
+    if difference.has_error or pixels is None:
+        raise RuntimeError(difference.geterror())
+    error: NDArray[np.float32] = pixels[..., 0]
+    return error
+
+
+def flip(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
+    """The mean of `flip_map`: lower is better. Pixels that do not count are taken as equal."""
+    if valid is None:
+        return float(flip_map(image, photo).mean(dtype=np.float64))
+    shown = np.where(valid[..., None], image, photo)
+    return float(flip_map(shown, photo)[valid].mean(dtype=np.float64))
+
+
+class Lpips:
+    """LPIPS (Zhang et al. 2018) by a network that the user gives; lower is better.
+
+    Parameters
+    ----------
+    path : an ONNX file with two inputs float32[1, 3, H, W], -1 to 1, RGB, and one output of a
+        single number, such as torch.onnx.export makes of `lpips.LPIPS`.
+
+    Raises
+    ------
+    InputError : the file is missing or is not such a network, or onnxruntime is not installed.
+    """
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self.path = Path(path)
+        try:
+            import onnxruntime
+        except ImportError:
+            raise InputError(f"--lpips {self.path}: needs onnxruntime; install it with "
+                             "`pip install onnxruntime`") from None
+        if not self.path.is_file():
+            raise InputError(f"{self.path}: no such file; give the ONNX file of an LPIPS "
+                             "network, or leave --lpips out")
+        settings = onnxruntime.SessionOptions()
+        settings.log_severity_level = 4  # what goes wrong is raised, too
+        try:
+            self._session = onnxruntime.InferenceSession(
+                str(self.path), settings, providers=["CPUExecutionProvider"])
+        except Exception as error:  # noqa: BLE001  (onnxruntime has a class for each kind)
+            raise InputError(f"{self.path}: not a network that onnxruntime can read "
+                             f"({reason(error)}); {EXPORT}") from None
+        self._inputs = [given.name for given in self._session.get_inputs()]
+        if len(self._inputs) != 2:
+            raise InputError(f"{self.path}: has {len(self._inputs)} inputs, where LPIPS compares "
+                             f"two images; {EXPORT}")
+
+    def __call__(self, image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
+        """LPIPS of two images. Pixels that do not count are those of the photo in both, as a network
+        looks at more than a pixel. InputError if the network does not give one number for them."""
+        if valid is not None:
+            image = np.where(valid[..., None], image, photo)
+        tensors = [np.ascontiguousarray(
+            2 * np.asarray(each, np.float32).transpose(2, 0, 1)[None] - 1)
+            for each in (image, photo)]
+        try:
+            results: list[Any] = self._session.run(None, dict(zip(self._inputs, tensors)))
+        except Exception as error:  # noqa: BLE001
+            height, width = tensors[0].shape[2:]
+            raise InputError(f"{self.path}: cannot compare images of {width}x{height} pixels "
+                             f"({reason(error)}); export it with dynamic axes for height and "
+                             "width") from None
+        if np.size(results[0]) != 1:
+            raise InputError(f"{self.path}: gives {np.size(results[0])} numbers, not one; {EXPORT}")
+        return float(np.reshape(results[0], ()))
+
+
+Metric = Callable[[NDArray[np.floating], NDArray[np.floating], Valid], float]
+METRICS: Mapping[str, Metric] = {"psnr": psnr, "ssim": ssim}  # of every evaluation
+FINAL_METRICS: Mapping[str, Metric] = {**METRICS, "flip": flip}  # of a finished model
+
+
+def final_metrics(lpips: str | PathLike[str] | None = None) -> Mapping[str, Metric]:
+    """FINAL_METRICS, and LPIPS by the network of an ONNX file, unless that is None or ""."""
+    return FINAL_METRICS if not lpips else {**FINAL_METRICS, "lpips": Lpips(lpips)}
+
+
+def fit_colour(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> NDArray[np.float64]:
+    """`image` under the quadratic colour map that brings it closest to `photo`, clipped to 0 to 1.
+
+    Each output channel is a weighted sum of the six products of two channels, the three channels
+    and 1. The weights are the least-squares solution over all pixels that count, and the smallest
+    one if the pixels do not determine it (a constant or grey image).
+    """
+    pixels, target = _float64(image).reshape(-1, 3), _float64(photo).reshape(-1, 3)
+    kept = slice(None) if valid is None else np.flatnonzero(valid)
+    fitting, target = pixels[kept], target[kept]
+    gram, moment = np.zeros((10, 10)), np.zeros((10, 3))
+    for begin in range(0, len(fitting), CHUNK_PIXELS):
+        features = _features(fitting[begin:begin + CHUNK_PIXELS])
+        gram += features.T @ features
+        moment += features.T @ target[begin:begin + CHUNK_PIXELS]
+    # the sums are accurate to about 1e-14 of the largest: smaller singular values are rounding
+    weights = np.linalg.lstsq(gram, moment, rcond=1e-13)[0]
+    fitted = np.empty_like(pixels)
+    for begin in range(0, len(pixels), CHUNK_PIXELS):
+        end = begin + CHUNK_PIXELS
+        fitted[begin:end] = _features(pixels[begin:end]) @ weights
+    return fitted.clip(0.0, 1.0).reshape(np.shape(image))
+
+
+def _features(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[N, 10]: the features of colours [N, 3]."""
+    r, g, b = pixels.T
+    return np.stack([r * r, g * g, b * b, r * g, g * b, b * r, r, g, b, np.ones_like(r)], axis=1)

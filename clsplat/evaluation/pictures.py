@@ -8,11 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.evaluation.error_map import error_map
 from clsplat.io.photos.images import eight_bits
 from clsplat.io.photos.resample import resample
 
 MOST_PIXELS = 640  # of the longer side of a picture in a page
+LARGEST_ERROR = 0.25  # of full brightness, drawn in the last colour
+# matplotlib's "inferno", whose lightness grows evenly, at each tenth: from black to light yellow
+COLOURS = ((0, 0, 4), (24, 12, 60), (66, 10, 104), (106, 23, 110), (147, 38, 103), (188, 55, 84),
+           (221, 81, 58), (243, 118, 27), (252, 165, 10), (246, 215, 70), (252, 255, 164))
+MASKED = 96  # of 255, grey
+LEGEND = f"black: none, light yellow: {LARGEST_ERROR:.0%} of full brightness or more"
 
 
 @dataclass(frozen=True)
@@ -35,11 +40,10 @@ class ShownView:
 
 @dataclass(frozen=True)
 class Pictures:
-    """The views that a report shows.
+    """The views that a report shows, the worst first.
 
     Attributes
     ----------
-    shown : the worst first.
     held_out : whether they are held-out views, not training views.
     count : of the views from which they were chosen.
     """
@@ -67,20 +71,37 @@ def chosen_views(per_view: Sequence[dict[str, Any]]) -> list[tuple[str, int]]:
 
 def shown_view(place: str, scores: dict[str, Any], fitted: NDArray[np.floating],
                photo: NDArray[np.floating], valid: NDArray[np.bool_] | None = None) -> ShownView:
-    """The ShownView of a render after the colour fit and its photo, [H, W, 3] each, 0 to 1.
+    """The ShownView of a render after the colour fit and its photo, [H, W, 3] each, 0 to 1; `valid`
+    as for `error_map`."""
+    def reduced(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        height, width = pixels.shape[:2]
+        scale = min(1, MOST_PIXELS / max(height, width))
+        size = max(1, round(width * scale)), max(1, round(height * scale))
+        return pixels if scale == 1 else resample(pixels, size)
+
+    return ShownView(place, scores, *map(reduced, (
+        eight_bits(photo), eight_bits(fitted), error_map(fitted, photo, valid))))
+
+
+def error_map(render: NDArray[np.floating], photo: NDArray[np.floating],
+              valid: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
+    """The absolute difference of each pixel, mean of its channels, in COLOURS up to LARGEST_ERROR.
+
+    A pixel that is not finite has the largest error; one that does not count is grey.
 
     Parameters
     ----------
+    render, photo : [H, W, 3], 0 to 1.
     valid : bool[H, W], the pixels that count; None: all.
+
+    Returns
+    -------
+    [H, W, 3].
     """
-    pixels = (eight_bits(photo), eight_bits(fitted), error_map(fitted, photo, valid))
-    return ShownView(place, scores, *map(_reduced, pixels))
-
-
-def _reduced(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """An image resampled so that its longer side has at most MOST_PIXELS."""
-    height, width = pixels.shape[:2]
-    scale = min(1, MOST_PIXELS / max(height, width))
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    reduced: NDArray[np.uint8] = pixels if scale == 1 else resample(pixels, size)
-    return reduced
+    error = np.abs(render - photo).mean(axis=2) / LARGEST_ERROR
+    place = np.clip(np.nan_to_num(error, nan=1.0), 0, 1) * (len(COLOURS) - 1)
+    colours = np.stack([np.interp(place, np.arange(len(COLOURS)), channel)
+                        for channel in np.transpose(COLOURS)], axis=2).round().astype(np.uint8)
+    if valid is not None:
+        colours[~valid] = MASKED
+    return colours

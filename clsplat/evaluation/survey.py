@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt
 
-from clsplat.georeference import AxisError, Georeference, Residual, axis_errors
+from clsplat.georeference import LEFT_OUT, AxisError, Georeference, Residual, axis_errors
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 from clsplat.partition.region import map_axes
@@ -103,6 +102,11 @@ class Survey:
         return self.georeference.residuals if self.georeference else ()
 
     @property
+    def left_out(self) -> list[str]:
+        """The names of measured places that contradict the others."""
+        return [each.name for each in self.residuals if each.role == LEFT_OUT]
+
+    @property
     def camera_residuals(self) -> NDArray[np.float64]:
         """float64[N], metres, how far the place of each photo is from its GPS; nan: unknown."""
         lengths = {each.name: float(np.linalg.norm([each.east, each.north, each.up or 0.0]))
@@ -111,12 +115,11 @@ class Survey:
 
 
 def survey_of(scene: Scene) -> Survey:
-    """A scene as a survey.
-
-    Parameters
-    ----------
-    scene : with cameras of the size of its photos, one or more.
-    """
+    """A scene, with one or more cameras of the size of its photos, as a survey."""
+    try:
+        record = object_of(read_regular(scene.path / RECORD))
+    except (OSError, ValueError):  # none, or none that can be read
+        record = {}
     axes = np.vstack([map_axes(scene.up), scene.up])
 
     def placed(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -131,28 +134,15 @@ def survey_of(scene: Scene) -> Survey:
     above = len(points) and np.median(cameras[:, 2]) > np.quantile(ground[:, 2], ABOVE)
     return Survey(
         tuple(view.name for view in scene.views), cameras[:, :2], ground[:, :2],
-        _read_record(scene.path), scene.georeference,
+        record, scene.georeference,
         _overlap(scene, ground, axes) if above else None,
         scene.unit * float(np.median(pixels)) if pixels else None,
         scene.unit * float(np.median(distances)) if distances else None)
 
 
-def _read_record(folder: Path) -> dict[str, Any]:
-    """sfm.json of a scene's folder; {} if there is none, or none that can be read."""
-    try:
-        return object_of(read_regular(folder / RECORD))
-    except (OSError, ValueError):
-        return {}
-
-
 def ground_samples(scene: Scene, points: NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    """The median depth of some points in each of at most MOST_MEASURED or twice as many photos that
-    show any, and the size of a pixel there, local units.
-
-    Parameters
-    ----------
-    points : float64[N, 3], local coordinates.
-    """
+    """The median depth of points float64[N, 3] in each of some photos that show any, and the size of
+    a pixel there, local units."""
     depths, pixels = [], []
     for view in scene.views[::max(1, len(scene.views) // MOST_MEASURED)]:
         seen = points[view.sees(points)]
@@ -164,13 +154,8 @@ def ground_samples(scene: Scene, points: NDArray[np.float64]) -> tuple[list[floa
 
 def _overlap(scene: Scene, ground: NDArray[np.float64], axes: NDArray[np.float64]
              ) -> Overlap | None:
-    """The map of overlap, on the heights of the points nearby.
-
-    Parameters
-    ----------
-    ground : float64[M, 3], points in the axes of the map.
-    axes : float64[3, 3], those axes as rows, in original coordinates.
-    """
+    """The map of overlap, on the heights of the points nearby: points [M, 3] in the axes of the map,
+    which are the rows of `axes` [3, 3] in original coordinates."""
     low, high = np.quantile(ground[:, :2], EXTENT, axis=0)
     size = float((high - low).max()) / CELLS
     if not size > 0:
@@ -197,22 +182,10 @@ def _overlap(scene: Scene, ground: NDArray[np.float64], axes: NDArray[np.float64
 
 
 def spreads(residuals: Sequence[Residual]) -> dict[str, AxisError]:
-    """As `axis_errors`, and "along the ground".
-
-    Parameters
-    ----------
-    residuals : of measured places.
-    """
+    """As `axis_errors`, and "along the ground"."""
     result = axis_errors(residuals)
     if result:
         along = np.array([np.hypot(each.east, each.north) for each in residuals])
         result["along the ground"] = AxisError(None, None, float(np.sqrt(np.mean(along**2))),
                                                float(np.quantile(along, 0.9)))
     return result
-
-
-def missing_photos(record: Mapping[str, Any]) -> dict[str, str]:
-    """Names of the photos that were not registered, by sfm.json, and why."""
-    missing = record.get("not_registered")
-    return {str(name): str(why) for name, why in missing.items()} if isinstance(
-        missing, dict) else {}

@@ -17,11 +17,11 @@ from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.align import aligned
-from clsplat.evaluation.colour import fit_colour
-from clsplat.evaluation.error_map import error_map
-from clsplat.evaluation.flip import flip
+from clsplat.evaluation.metrics import fit_colour
+from clsplat.evaluation.pictures import error_map
+from clsplat.evaluation.metrics import flip
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
-from clsplat.evaluation.lpips import Lpips
+from clsplat.evaluation.metrics import Lpips
 from clsplat.evaluation.metrics import psnr, ssim
 from clsplat.evaluation.pictures import Pictures, ShownView, chosen_views, shown_view
 from clsplat.gaussians import Gaussians

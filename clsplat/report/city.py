@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from clsplat.io.runs.city import PICTURE
-from clsplat.report.curves import Record
+from clsplat.report.scores import Record
 from clsplat.report.page import Table, embedded
 
 SEAM_COLUMNS = {  # figure of a border -> its title

@@ -9,21 +9,27 @@ from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
 from clsplat.io.records import write_object
 from clsplat.io.runs.origin import origin
-from clsplat.report.curves import Curve, Record, curve, reached, spread, value_at
-from clsplat.report.drawing import as_png, drawn
-from clsplat.report.figures import comparison_figure, cost_figure
+from clsplat.report.charts import as_png, comparison_figure, drawn
 from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, title, warnings
-from clsplat.report.page import Table, as_utf8, folded, headed, page, warning
+from clsplat.report.page import Table, as_utf8, folded, page, warning
+from clsplat.report.scores import Curve, Record, curve, reached, spread, value_at
 
 SCORES = {"psnr_cc": ("PSNR cc, dB", 2), "ssim_cc": ("SSIM cc", 4), "flip_cc": ("FLIP cc", 4),
           "lpips_cc": ("LPIPS cc", 4), "psnr": ("PSNR, dB", 2), "ssim": ("SSIM", 4),
           "flip": ("FLIP", 4), "lpips": ("LPIPS", 4)}  # key -> (title, digits)
-ALWAYS = ("psnr_cc", "psnr", "ssim_cc", "ssim")  # the others only where a run has them
+ALWAYS = ("psnr_cc", "psnr", "ssim_cc", "ssim")  # the others only if a run has them
 SPREAD = ("psnr_cc", "ssim_cc", "flip_cc", "lpips_cc")  # whose deviation the table shows
 COSTS = ("pixel_pairs", "kernel_bytes")
+MEASURED = (*SCORES, "gaussians", "train_seconds", *COSTS, "psnr_cc_at_equal_seconds")
 NO_CURVE = ("No curve: no run has more than one evaluation. Train with --eval-every STEPS, an "
             "eighth of -n or less, to see the error over time.")
 LEVEL_STEP = 0.5  # dB: levels chosen from the data are multiples of it
+FINAL_NOTES = (
+    "cc: after the colour fit. Lower is better for FLIP and LPIPS. ± is the standard deviation "
+    "over the runs of a group.",
+    "The cost of training does not depend on the machine. Pairs: of gaussian and pixel, with all "
+    "pixels of the tiles that a gaussian touches; bytes: of the arrays given to kernels, in every "
+    "launch.")
 
 
 def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = None,
@@ -50,20 +56,20 @@ def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = No
     folder = Path(folder or parent)
     make_folder(folder, "choose another --output")
     write_object(folder / "compare.json", result, indent=2)
+    chart = ({name: [run.records for run in group] for name, group in groups.items()},
+             result["levels"])
     curves = drawn("PSNR, SSIM and number of gaussians over training time, by group",
-                   comparison_figure, groups, result["levels"])
-    _write_picture(folder / "compare.png", groups, result["levels"])
+                   comparison_figure, *chart)
+    _write_picture(folder / "compare.png", *chart)
     count = len(runs)
     html = page(
         f"Comparison: {', '.join(groups)}",
         f"{count} run{'s' if count > 1 else ''} of {parent.name}. Training time leaves out "
         "evaluations and checkpoints; colour-corrected scores come after a quadratic fit of each "
         "render's colours to its photo.",
-        curves or f"<p class=note>{NO_CURVE}</p>\n",
-        *map(warning, result["warnings"]), final.html(), time.html(),
-        headed("Over cost, which does not depend on the machine", drawn(
-            "PSNR over pairs of gaussian and pixel, and over bytes", cost_figure, groups)),
-        different.html(), folded(same.title, same.html()), made=origin())
+        curves or f"<p class=note>{NO_CURVE}</p>\n", *map(warning, result["warnings"]),
+        final.html(), time.html(), different.html(), folded(same.title, same.html()),
+        made=origin())
     written = folder / "compare.html"
     with replacing(written) as file:
         file.write(html.encode())
@@ -75,11 +81,10 @@ def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = No
     return as_utf8(text), written
 
 
-def _write_picture(path: Path, groups: Mapping[str, Sequence[Trained]], levels: Sequence[float]
-                   ) -> None:
+def _write_picture(path: Path, *chart: Any) -> None:
     """Write the curves as PNG; without curves, remove the picture of an earlier comparison."""
     try:
-        data = as_png(comparison_figure, groups, levels)
+        data = as_png(comparison_figure, *chart)
     except Exception:  # noqa: BLE001  (the page gives the reason)
         data = None
     if data is None:
@@ -105,13 +110,11 @@ def compare(groups: Mapping[str, Sequence[Trained]], levels: Sequence[float] = (
     compared = []
     for name, group in groups.items():
         rows = [_numbers(run, levels, shortest) for run in group]
-        means = {key: spread([row[key] for row in rows]) for key in rows[0]["measured"]}
+        means = {key: spread([row[key] for row in rows]) for key in MEASURED}
         compared.append({
             "name": name, "options": {key: group[0].options.get(key) for key in different},
             "mean": {key: mean for key, (mean, _) in means.items()},
             "deviation": {key: deviation for key, (_, deviation) in means.items()}, "runs": rows})
-        for row in rows:
-            del row["measured"]
     sentences = warnings(groups)
     missing = [run.name for run in runs if run.name not in lines]
     if missing:
@@ -120,6 +123,28 @@ def compare(groups: Mapping[str, Sequence[Trained]], levels: Sequence[float] = (
     return {"levels": levels, "equal_seconds": shortest, "warnings": sentences,
             "equal": {key: runs[0].options.get(key) for key in equal(runs)},
             "different": different, "groups": compared}
+
+
+def _psnr(run: Trained) -> Curve:
+    return curve(run.records, "train_seconds", "psnr_cc", "eval")
+
+
+def _numbers(run: Trained, levels: Sequence[float], shortest: float | None) -> dict[str, Any]:
+    """One run's part of compare.json."""
+    line = _psnr(run)
+    crossings = [reached(line, level) or (None, False) for level in levels]
+    return {"folder": run.name, "seed": run.options.get("seed"), "finished": run.finished,
+            **{key: _last(run.records, key, "eval" if key in SCORES else None)
+               for key in MEASURED},
+            "psnr_cc_at_equal_seconds": None if shortest is None else value_at(line, shortest),
+            "best_psnr_cc": float(max(line[1])) if len(line[1]) else None,
+            "reached": [{"psnr_cc": level, "seconds": seconds, "upper_bound": bound}
+                        for level, (seconds, bound) in zip(levels, crossings)]}
+
+
+def _last(records: Sequence[Record], key: str, event: str | None) -> Any:
+    return next((record[key] for record in reversed(records)
+                 if record.get(key) is not None and event in (None, record.get("event"))), None)
 
 
 def levels_from(groups: Iterable[Sequence[Curve]]) -> list[float]:
@@ -137,10 +162,11 @@ def levels_from(groups: Iterable[Sequence[Curve]]) -> list[float]:
 
 def final_table(result: Mapping[str, Any]) -> Table:
     """The end of the runs, a row for each group."""
-    rows = []
+    groups = result["groups"]
     scores = [key for key in SCORES if key in ALWAYS or any(
-        group["mean"][key] is not None for group in result["groups"])]
-    for group in result["groups"]:
+        group["mean"][key] is not None for group in groups)]
+    rows = []
+    for group in groups:
         mean, deviation = group["mean"], group["deviation"]
         rows.append((
             group["name"], str(len(group["runs"])),
@@ -152,40 +178,34 @@ def final_table(result: Mapping[str, Any]) -> Table:
               for key in scores)))
     return Table("At the end", ("group", "runs", "seeds", "training, s", "gaussians", "pairs",
                                 "bytes", *(SCORES[key][0] for key in scores)),
-                 rows, range(3, 7 + len(scores)),
-                 ("cc: after the colour fit. Lower is better for FLIP and LPIPS. ± is the standard "
-                  "deviation over the runs of a group.",
-                  "The cost of training does not depend on the machine. Pairs: of gaussian and "
-                  "pixel, with all pixels of the tiles that a gaussian touches; bytes: of the "
-                  "arrays given to kernels, in every launch."))
+                 rows, range(3, 7 + len(scores)), FINAL_NOTES)
 
 
 def time_table(result: Mapping[str, Any]) -> Table:
     """Training time at given PSNR, and PSNR at equal training time, a row for each group."""
     levels, rows, notes = result["levels"], [], []
+    key = "psnr_cc_at_equal_seconds"
     for group in result["groups"]:
-        cells = []
+        name, runs, cells = group["name"], group["runs"], []
         for number, level in enumerate(levels):
-            crossings = [run["reached"][number]["seconds"] for run in group["runs"]]
-            bounds = [run["reached"][number]["upper_bound"] for run in group["runs"]]
-            short = [run["best_psnr_cc"] for run, crossing in zip(group["runs"], crossings)
-                     if crossing is None]
+            crossings = [run["reached"][number] for run in runs]
+            short = [run["best_psnr_cc"] for run, crossing in zip(runs, crossings)
+                     if crossing["seconds"] is None]
             if short:
-                best = [value for value in short if value is not None]
-                notes.append(f"- {group['name']}, {level:g} dB: not reached by {len(short)} of "
-                             f"{len(crossings)} runs" + (f" (best {max(best):.2f})." if best
-                                                         else " (no evaluation)."))
+                best = max((value for value in short if value is not None), default=None)
+                why = "no evaluation" if best is None else f"best {best:.2f}"
+                notes.append(f"- {name}, {level:g} dB: not reached by {len(short)} of {len(runs)} "
+                             f"runs ({why}).")
                 cells.append("-")
             else:
-                cells.append(("≤ " if any(bounds) else "") +
-                             _with_spread(*spread(crossings), digits=1))
-        key = "psnr_cc_at_equal_seconds"
+                cells.append(("≤ " if any(crossing["upper_bound"] for crossing in crossings) else "")
+                             + _with_spread(*spread(each["seconds"] for each in crossings), 1))
         cells.append(_with_spread(group["mean"][key], group["deviation"][key], 2))
-        lacking = sum(run[key] is None for run in group["runs"])
+        lacking = sum(run[key] is None for run in runs)
         if lacking:
-            notes.append(f"- {group['name']}, equal time: {lacking} of {len(group['runs'])} runs "
-                         "had no evaluation by then.")
-        rows.append((group["name"], *cells))
+            notes.append(f"- {name}, equal time: {lacking} of {len(runs)} runs had no evaluation "
+                         "by then.")
+        rows.append((name, *cells))
     if any(cell.startswith("≤") for row in rows for cell in row):
         notes.append("≤: a run had reached it at its first evaluation.")
     equal = result["equal_seconds"]
@@ -200,39 +220,13 @@ def time_table(result: Mapping[str, Any]) -> Table:
 def equality_tables(groups: Mapping[str, Sequence[Trained]]) -> tuple[Table, Table]:
     """The options and facts that differ between the groups, and those that are equal in all."""
     runs = [group[0] for group in groups.values()]
-    different = differing(runs)
+    different = [(title(key), *(run.text(key) for run in runs)) for key in differing(runs)]
     return (
-        Table("What differs", ("", *groups),
-              [(title(key), *(run.text(key) for run in runs)) for key in different] or
-              [("nothing", *("" for _ in runs))],
+        Table("What differs", ("", *groups), different or [("nothing", *("" for _ in runs))],
               notes=("Seeds, and options that change neither model nor time, are left out; -: the "
                      "schedule does not use it.",)),
         Table("What is equal", ("", "all runs"),
               [(title(key), runs[0].text(key)) for key in equal(runs)]))
-
-
-def _psnr(run: Trained) -> Curve:
-    return curve(run.records, "train_seconds", "psnr_cc", "eval")
-
-
-def _numbers(run: Trained, levels: Sequence[float], shortest: float | None) -> dict[str, Any]:
-    """One run's part of compare.json; `measured` names the keys that have a mean over seeds."""
-    line = _psnr(run)
-    crossings = [reached(line, level) or (None, False) for level in levels]
-    numbers: dict[str, Any] = {key: _last(run.records, key, "eval") for key in SCORES}
-    numbers |= {key: _last(run.records, key) for key in ("gaussians", "train_seconds", *COSTS)}
-    numbers["psnr_cc_at_equal_seconds"] = None if shortest is None else value_at(line, shortest)
-    return {"folder": run.name, "seed": run.options.get("seed"), "finished": run.finished,
-            **numbers, "best_psnr_cc": float(max(line[1])) if len(line[1]) else None,
-            "reached": [{"psnr_cc": level, "seconds": seconds, "upper_bound": bound}
-                        for level, (seconds, bound) in zip(levels, crossings)],
-            "measured": tuple(numbers)}
-
-
-def _last(records: Sequence[Record], key: str, event: str | None = None) -> Any:
-    values = [record[key] for record in records
-              if record.get(key) is not None and event in (None, record.get("event"))]
-    return values[-1] if values else None
 
 
 def _with_spread(mean: float | None, deviation: float | None, digits: int) -> str:

@@ -14,7 +14,8 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.runs.run import find_runs
 from clsplat.options import TrainOptions, serves
-from clsplat.report.curves import Record
+from clsplat.report.page import scene_name
+from clsplat.report.scores import Record
 
 FACTS = ("fingerprint", "opencl_device", "kernel_form", "version", "commit")
 # without the seed, by which runs of a group differ, and `form`, whose result is kernel_form
@@ -22,6 +23,13 @@ OPTIONS = {option.name: option for option in options_of(TrainOptions)
            if option.metadata["affects"] == "model" and option.name not in ("seed", "form")}
 KEYS = (*sorted(OPTIONS, key=lambda name: name != "schedule"), *FACTS)
 TITLES = {"fingerprint": "scene", "opencl_device": "OpenCL device"}
+UNFAIR = {  # what it means if runs differ in these keys
+    "The runs have different scenes, so no score says which is better": ("fingerprint",),
+    "The runs are scored on different photos or sizes, so scores cannot be compared":
+        ("test_every", "test_offset", "downscale", "max_resolution"),
+    "The runs used different devices: scores can be compared, times cannot":
+        ("opencl_device", "kernel_form"),
+    "The runs were made by different versions of clsplat": ("version", "commit")}
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,10 @@ class Trained:
         except InputError:  # a schedule of a package that is not installed
             return OPTIONS[key].metadata["part"] is None
 
+    def plain(self, key: str) -> str | None:
+        """The value of one of KEYS as JSON; None if the run does not use it."""
+        return json.dumps(self.options.get(key), sort_keys=True) if self.uses(key) else None
+
     def text(self, key: str) -> str:
         """The run's value of one of KEYS, for people."""
         value = self.options.get(key)
@@ -70,37 +82,21 @@ def read_runs(paths: Iterable[str | Path]) -> tuple[list[Trained], Path, list[st
     paths = [Path(path).resolve() for path in paths]
     parent = Path(os.path.commonpath(paths))
     runs = {folder.path: Run(folder) for path in paths for folder in find_runs(path)}
-    names = {path: path.name if path == parent else path.relative_to(parent).as_posix()
-             for path in runs}
-    read = [Trained(names[path], run.record, run.metrics, run.folder.has_model)
-            for path, run in runs.items() if run.folder.has_metrics]
+    read, empty = [], []
+    for path, run in runs.items():
+        name = path.name if path == parent else path.relative_to(parent).as_posix()
+        if run.folder.has_metrics:
+            read.append(Trained(name, run.record, run.metrics, run.folder.has_model))
+        else:
+            empty.append(name)
     if not read:
         raise InputError(f"{parent}: none of the runs has metrics yet; train them first")
-    return read, parent, [names[path] for path, run in runs.items()
-                          if not run.folder.has_metrics]
-
-
-def scene_name(options: Mapping[str, Any]) -> str:
-    """The name of the scene that options.json records, without a suffix."""
-    return Path(options.get("scene_absolute") or options.get("scene") or "?").stem or "?"
-
-
-def full_name(run: Path, options: Mapping[str, Any]) -> str:
-    """The name of a run's folder after that of its scene, since many folders are called run; alone
-    if one is part of the other.
-
-    Parameters
-    ----------
-    run : the folder.
-    options : of its options.json.
-    """
-    name, scene = run.resolve().name, scene_name(options)
-    return name if scene in name or name in scene or scene == "?" else f"{scene}: {name}"
+    return read, parent, empty
 
 
 def differing(runs: Sequence[Trained]) -> list[str]:
     """Those of KEYS in which the runs differ that use them."""
-    return [key for key in KEYS if len({_plain(run, key) for run in runs if run.uses(key)}) > 1]
+    return [key for key in KEYS if len({run.plain(key) for run in runs if run.uses(key)}) > 1]
 
 
 def equal(runs: Sequence[Trained]) -> list[str]:
@@ -116,34 +112,34 @@ def grouped(runs: Iterable[Trained]) -> dict[str, list[Trained]]:
     """
     by_values: dict[tuple[str | None, ...], list[Trained]] = {}
     for run in runs:
-        by_values.setdefault(tuple(_plain(run, key) for key in KEYS), []).append(run)
+        by_values.setdefault(tuple(map(run.plain, KEYS)), []).append(run)
     groups = [sorted(group, key=lambda run: (run.options.get("seed") or 0, run.name))
               for group in by_values.values()]
     firsts = [group[0] for group in groups]
     names: list[tuple[str, ...]] = [()] * len(firsts)
     for key in differing(firsts):
-        longer = [(*name, _part(run, key)) for name, run in zip(names, firsts)]
+        longer = [(*name, _name_part(run, key)) for name, run in zip(names, firsts)]
         if len(set(longer)) > len(set(names)):
             names = longer
     alone = firsts[0].text("schedule")
     return {", ".join(name) or alone: group for name, group in zip(names, groups)}
 
 
+def _name_part(run: Trained, key: str) -> str:
+    text = run.text(key)
+    if key == "commit":
+        text = text[:8] + ("-dirty" if text.endswith("-dirty") else "")
+    return text if key in ("schedule", "opencl_device", "fingerprint") else f"{title(key)} {text}"
+
+
 def warnings(groups: Mapping[str, Sequence[Trained]]) -> list[str]:
     """Sentences on what makes the comparison of groups unfair or uncertain."""
     runs = [run for group in groups.values() for run in group]
     sentences = []
-    for meaning, keys in (
-            ("The runs have different scenes, so no score says which is better",
-             ("fingerprint",)),
-            ("The runs are scored on different photos or sizes, so scores cannot be compared",
-             ("test_every", "test_offset", "downscale", "max_resolution")),
-            ("The runs used different devices: scores can be compared, times cannot",
-             ("opencl_device", "kernel_form")),
-            ("The runs were made by different versions of clsplat", ("version", "commit"))):
+    for meaning, keys in UNFAIR.items():
         for key in keys:
             texts = sorted({run.text(key) for run in runs})
-            if len({_plain(run, key) for run in runs}) > 1:
+            if len({run.plain(key) for run in runs}) > 1:
                 sentences.append(f"{meaning} ({title(key)}: {' / '.join(texts)}).")
     views = sorted({record["views"] for run in runs for record in run.records
                     if record.get("event") == "eval" and record.get("views") is not None})
@@ -153,7 +149,11 @@ def warnings(groups: Mapping[str, Sequence[Trained]]) -> list[str]:
     if any(str(run.options.get("commit")).endswith("-dirty") for run in runs):
         sentences.append("clsplat's code had changes that were not committed: runs of the same "
                          "commit may still differ in code.")
-    unfinished = [f"{run.name} (step {steps(run):,})" for run in runs if not run.finished]
+    unfinished = []
+    for run in runs:
+        if not run.finished:
+            last = max((record.get("iteration") or 0 for record in run.records), default=0)
+            unfinished.append(f"{run.name} (step {last:,})")
     if unfinished:
         sentences.append(f"Not finished yet: {', '.join(unfinished)}.")
     seeds = {name: [run.options.get("seed") for run in group] for name, group in groups.items()}
@@ -170,21 +170,3 @@ def warnings(groups: Mapping[str, Sequence[Trained]]) -> list[str]:
 def title(key: str) -> str:
     """The name of one of KEYS in a table."""
     return TITLES.get(key, key.replace("_", " "))
-
-
-def steps(run: Trained) -> int:
-    """The last iteration in the records of a run."""
-    return max((record.get("iteration") or 0 for record in run.records), default=0)
-
-
-def _plain(run: Trained, key: str) -> str | None:
-    """The value of one of KEYS as text; None where the run does not use it."""
-    return json.dumps(run.options.get(key), sort_keys=True) if run.uses(key) else None
-
-
-def _part(run: Trained, key: str) -> str:
-    """The part of a group's name for one of KEYS."""
-    text = run.text(key)
-    if key == "commit":
-        text = text[:8] + ("-dirty" if text.endswith("-dirty") else "")
-    return text if key in ("schedule", "opencl_device", "fingerprint") else f"{title(key)} {text}"

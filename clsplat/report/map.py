@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from clsplat.partition.input import world_of
 from clsplat.partition.outline import centroid, extent, outline
 from clsplat.partition.partition import Partition
-from clsplat.report.drawing import own_settings
-from clsplat.report.figures import COLOURS
+from clsplat.report.charts import COLOURS, own_settings
 from clsplat.scene import Scene
 
 MOST_POINTS = 60_000  # drawn

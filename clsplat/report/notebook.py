@@ -1,28 +1,42 @@
-"""HTML for notebooks: a table of facts, a run with its curve and scores, a view, a scene."""
+"""HTML for notebooks: a table of facts, a run with its curve and scores, a view, a scene, a model.
+"""
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import replace
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.edit.decimate import decimated
+from clsplat.edit.select import alive, selected
 from clsplat.errors import ClsplatError
 from clsplat.evaluation.survey import survey_of
+from clsplat.gaussians import Gaussians
+from clsplat.io.models.values import opacities
 from clsplat.io.photos.views import read_photo
-from clsplat.report.drawing import drawn
-from clsplat.report.figures import score_figure
+from clsplat.placement.first_view import view_from_above
+from clsplat.report.charts import drawn, score_figure, survey_figure
+from clsplat.report.model_page import write_page
 from clsplat.report.page import as_utf8, html_of
-from clsplat.report.pictures import jpeg
-from clsplat.report.run import lead
+from clsplat.report.run import jpeg, lead
 from clsplat.report.scores import score_table
-from clsplat.report.survey import survey_figure
-from clsplat.scene import Scene, View
+from clsplat.scene import NEAR_SHARE, Scene, View
 
 if TYPE_CHECKING:
     from clsplat.evaluation.run import Run
 
 THUMBNAIL, SMALL = 320, 160  # pixels, the longer side of the photo of a view, and in a sheet
 SHEET = 12  # photos of a scene at most
+MOST_SHOWN = 100_000  # gaussians: a notebook stores 2 MB for them
+MOST_MERGED = 2 * MOST_SHOWN  # from which they are merged, which takes seconds
+STEEPNESS = -0.7  # of the first view: 45 degrees
+FLAT = 0.35  # of the middle axis of the positions: a thinner model lies on the ground
+USUAL_UPS = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # georeferenced and others, by COLMAP
 
 
 def table(rows: dict[str, str]) -> str:
@@ -34,8 +48,8 @@ def table(rows: dict[str, str]) -> str:
 
 def run_page(run: Run) -> str:
     """A run as HTML, without head and body."""
-    options, records = run.record, run.metrics
-    return html_of(f"<p>{escape(lead(options, records))}</p>",
+    records = run.metrics
+    return html_of(f"<p>{escape(lead(run.record, records))}</p>",
                    drawn("PSNR and SSIM over training time", score_figure, records),
                    score_table(records))
 
@@ -70,3 +84,53 @@ def scene_page(scene: Scene) -> str:
     cameras = drawn("Map of the cameras", survey_figure, survey_of(scene)) if scene.views else ""
     chosen = scene.views[::-(-len(scene.views) // SHEET) or 1]
     return html_of(facts, cameras, "".join(_card(view, SMALL) for view in chosen))
+
+
+def model_frame(gaussians: Gaussians) -> str:
+    """The page of a model in a frame, which shows a smaller model if there are many gaussians."""
+    visible = selected(gaussians, alive(gaussians))
+    if not visible.count:
+        return f"<p>{escape(repr(gaussians))}: nothing to show</p>"
+    shown = smaller(visible)
+    sizes = np.exp(shown.log_scales.max(axis=1, keepdims=True).astype(np.float64))
+    points = np.concatenate([shown.positions - sizes, shown.positions + sizes])
+    up = likely_up(points)
+    level = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    view = view_from_above(points, up, level / np.linalg.norm(level), STEEPNESS)
+    size = float(np.linalg.norm(np.median(points, axis=0) - view.position))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.html"
+        write_page(path, shown.located(np.zeros(3)), view, up, near=NEAR_SHARE * size,
+                   title="model")
+        page = path.read_text("utf-8")
+    few = f"; {shown.count:,} are shown here, merged of their neighbours" if (
+        shown.count < visible.count) else ""
+    return (f'<iframe srcdoc="{escape(page)}" sandbox="allow-scripts" loading="lazy" '
+            'style="width: 100%; height: 480px; border: 0"></iframe>\n'
+            f"<p>{gaussians.count:,} gaussians, SH degree {gaussians.sh_degree}{few}</p>")
+
+
+def smaller(gaussians: Gaussians) -> Gaussians:
+    """The model if it has at most MOST_SHOWN gaussians, else one of so many that looks like it: the
+    faintest and smallest are left out, and others merged."""
+    if gaussians.count <= MOST_SHOWN:
+        return gaussians
+    if gaussians.count > MOST_MERGED:
+        widest = np.sort(gaussians.log_scales, axis=1)[:, 1:].sum(axis=1)
+        mass = np.log(np.maximum(opacities(gaussians), 1e-9)) + widest
+        kept = np.sort(np.argpartition(-mass, MOST_MERGED)[:MOST_MERGED])
+        gaussians = selected(gaussians, kept)
+    return decimated(gaussians, MOST_SHOWN)
+
+
+def likely_up(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The direction float64[3] that probably points up in a model of places float64[N, 3] alone:
+    the thin side of a flat one, else the usual direction that is nearest to it."""
+    spread, axes = np.linalg.eigh(np.cov(points.T) if len(points) > 1 else np.eye(3))
+    along = USUAL_UPS @ axes[:, 0]
+    usual = int(np.argmax(np.abs(along)))
+    if spread[0] < FLAT**2 * spread[1] and along[usual]:
+        thin: NDArray[np.float64] = axes[:, 0] * np.sign(along[usual])
+        return thin
+    up: NDArray[np.float64] = USUAL_UPS[usual]
+    return up

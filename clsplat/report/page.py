@@ -8,10 +8,9 @@ import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
-
-from clsplat.report.style import STYLE
 
 NOTES_WIDTH = 100  # characters, of notes in the terminal
 LONGEST_COMMAND = 1000  # characters, of the command in the head of a page
@@ -104,7 +103,7 @@ def page(title: str, lead: str, *parts: str, made: Mapping[str, Any] | None = No
     """
     text = (f'<!doctype html>\n<html lang="en">\n<head><meta charset="utf-8">\n'
             f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{escape(title)}</title>\n<style>{STYLE}</style></head>\n<body>\n"
+            f"<title>{escape(title)}</title>\n<style>{web('report.css')}</style></head>\n<body>\n"
             f"<h1>{escape(title)}</h1>\n<p class=lead>{escape(lead)}</p>\n{_made(made or {})}"
             f"{''.join(parts)}</body>\n</html>\n")
     return as_utf8(text)
@@ -121,6 +120,29 @@ def _made(record: Mapping[str, Any]) -> str:
              f"<code>{escape(command)}</code>" if command else ""]
     line = " · ".join(filter(None, facts))
     return f"<p class=facts>{line}</p>\n" if line else ""
+
+
+def web(name: str) -> str:
+    """The text of a file of web/."""
+    return (files("clsplat.report") / "web" / name).read_text("utf-8")
+
+
+def scene_name(options: Mapping[str, Any]) -> str:
+    """The name of the scene that options.json records, without a suffix."""
+    return Path(options.get("scene_absolute") or options.get("scene") or "?").stem or "?"
+
+
+def full_name(run: Path, options: Mapping[str, Any]) -> str:
+    """The name of a run's folder after that of its scene, since many folders are called run; alone
+    if one is part of the other.
+
+    Parameters
+    ----------
+    run : the folder.
+    options : of its options.json.
+    """
+    name, scene = run.resolve().name, scene_name(options)
+    return name if scene in name or name in scene or scene == "?" else f"{scene}: {name}"
 
 
 def as_utf8(text: str) -> str:

@@ -1,26 +1,43 @@
 """The page of one run: pictures, scores, growth, loss and level changes."""
 
+import base64
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from clsplat.config.option import options_of
-from clsplat.evaluation.pictures import Pictures
+from clsplat.evaluation.pictures import COLOURS, LARGEST_ERROR, Pictures, ShownView
+from clsplat.io.photos.images import encode_jpeg
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions
+from clsplat.report.charts import drawn, score_figure, step_figure
 from clsplat.report.city import city_sections
-from clsplat.report.curves import Record
-from clsplat.report.drawing import drawn
-from clsplat.report.figures import score_figure, step_figure
-from clsplat.report.groups import full_name
-from clsplat.report.page import Table, folded, headed, html_of, page
-from clsplat.report.pictures import pictures_html
-from clsplat.report.scores import main_psnr, number, score_table, with_quality
+from clsplat.report.page import Table, folded, full_name, headed, html_of, page
+from clsplat.report.scores import (
+    COLUMNS,
+    EXPLAINED,
+    PERCEPTUAL,
+    Record,
+    main_psnr,
+    number,
+    score_table,
+    with_quality,
+)
 from clsplat.report.survey import survey_html
 from clsplat.scene import Scene
 
+JPEG_QUALITY = 85
+# attribute of a ShownView, caption
+PANELS = (("photo", "photo"), ("render", "render after the colour fit"), ("error", "its error"))
 FACTS = ("command", "date", "scene", "scene_absolute", "fingerprint", "extent", "offset",
          "opencl_device", "kernel_form", "version", "commit")
+LEVELS = (("since", "steps at it", ",.0f"), ("slope", "slope", ".3g"),
+          ("threshold", "threshold", ".3g"), ("frequency", "frequency", ".3g"),
+          ("hits", "hits", ".0f"), ("rounds", "rounds", ".0f"), ("gaussians", "gaussians", ",.0f"))
 PREDICTED = ("Held-out views have an exposure that follows from the training photos alone: {:.0%} "
              "interpolated between those before and after, the rest the mean of all.")
 
@@ -45,8 +62,8 @@ def write_report(run: RunFolder, pictures: Pictures | None = None, scene: Scene 
         *city_sections(run.path, records),
         headed("Growth and loss", drawn("Gaussians, loss and level over iterations",
                                          step_figure, records)),
-        plan_table(records), level_table(records),
-        folded("Options", option_table(options).html()))
+        _plan_table(records), level_table(records),
+        folded("Options", _option_table(options).html()))
     return run.write_report(page(full_name(run.path, options), lead(options, records),
                                  html_of(*sections), made=options))
 
@@ -75,7 +92,58 @@ def lead(options: Mapping[str, Any], records: Sequence[Record]) -> str:
     return f"{text} Schedule {options.get('schedule', '?')}, seed {options.get('seed', '?')}."
 
 
-def plan_table(records: Sequence[Record]) -> Table | None:
+def pictures_html(pictures: Pictures | None) -> str:
+    """The section of a report for its pictures; an error becomes a line of text."""
+    if not pictures or not pictures.shown:
+        return ""
+    try:
+        views = "".join(map(_view, pictures.shown))
+    except Exception as error:  # noqa: BLE001
+        return f"<p class=note>Pictures could not be made ({escape(str(error))}).</p>\n"
+    if pictures.held_out:
+        title = "Held-out views"
+        which = "Photos that the training did not use, beside renders of the same views."
+    else:
+        title = "Training views"
+        which = ("No view is held out, so these photos were trained on, and are a weaker "
+                 f"test than others would be. They were chosen from {pictures.count}.")
+    colours = ", ".join(f"rgb{colour}" for colour in COLOURS)
+    scores = [view.scores for view in pictures.shown]
+    columns = [column for column in (*COLUMNS, *PERCEPTUAL) if any(
+        column[0] in of_view for of_view in scores)]
+    numbers = Table("", ("view", *(title for _, title, _ in columns)), [
+        (str(of_view["name"]), *(number(of_view, key, form) for key, _, form in columns))
+        for of_view in scores], range(1, len(columns) + 1))
+    return (f"<h2>{title}</h2>\n<p>{which} PSNR measures how similar the two are after the colour "
+            f"fit. {EXPLAINED}</p>\n"
+            "<div class=scale><b>error: none</b> "
+            f'<i style="background: linear-gradient(to right, {colours})"></i>'
+            f"{LARGEST_ERROR:.0%} of full brightness or more</div>\n{views}{numbers.html()}"
+            "<p class=note>The colour fit is a quadratic fit of each render's colours to its "
+            "photo; the error is the mean difference of red, green and blue. The PNG files of "
+            "<code>clsplat eval</code> have the renders without the fit, too.</p>\n")
+
+
+def _view(view: ShownView) -> str:
+    name, scores = escape(view.scores["name"]), view.scores
+    title = {"only": name}.get(view.place, f"{view.place.capitalize()}: {name}")
+    panels = "\n".join(
+        f"<figure>{jpeg(getattr(view, panel), f'{panel} of {name}')}"
+        f"<figcaption>{caption}</figcaption></figure>" for panel, caption in PANELS)
+    return (f"<div class=view>\n<h3>{title}</h3>\n"
+            f"<p>PSNR {with_quality(scores['psnr_cc'])}</p>\n"
+            f"<div class=panels>\n{panels}\n</div>\n</div>\n")
+
+
+def jpeg(pixels: NDArray[np.uint8], description: str) -> str:
+    """HTML of an image [H, W, 3] with an escaped description."""
+    height, width = pixels.shape[:2]
+    data = base64.b64encode(encode_jpeg(pixels, JPEG_QUALITY)).decode()
+    return (f'<img alt="{description}" width={width} height={height} style="height: auto" '
+            f'src="data:image/jpeg;base64,{data}">')
+
+
+def _plan_table(records: Sequence[Record]) -> Table | None:
     """The decisions before training, with their reasons; None without a plan."""
     rows = [(name.replace("_", " "), str(reason)) for record in records
             if record.get("event") == "plan"
@@ -86,27 +154,24 @@ def plan_table(records: Sequence[Record]) -> Table | None:
 def level_table(records: Sequence[Record]) -> Table | None:
     """A row for each change of the level, with the reason and its numbers; None without any."""
     rows: list[tuple[str, ...]] = []
-    before = None
+    before = "-"
     for record in records:
+        level = number(record, "level", "g")
         if record.get("event") == "level":
             rows.append((
                 number(record, "iteration", ",.0f"), number(record, "train_seconds", ",.1f"),
-                f"{'-' if before is None else format(before, 'g')} → "
-                f"{number(record, 'level', 'g')}", str(record.get("reason") or "-"),
-                number(record, "since", ",.0f"), number(record, "slope", ".3g"),
-                number(record, "threshold", ".3g"), number(record, "frequency", ".3g"),
-                number(record, "hits", ".0f"), number(record, "rounds", ".0f"),
-                number(record, "gaussians", ",.0f")))
-        before = record.get("level") if record.get("level") is not None else before
+                f"{before} → {level}", str(record.get("reason") or "-"),
+                *(number(record, key, form) for key, _, form in LEVELS)))
+        before = before if level == "-" else level
     return Table("Level changes", (
-        "step", "training, s", "level", "reason", "steps at it", "slope", "threshold", "frequency",
-        "hits", "rounds", "gaussians"), rows, (0, 1, *range(4, 11)),
+        "step", "training, s", "level", "reason", *(title for _, title, _ in LEVELS)),
+        rows, (0, 1, *range(4, 11)),
         ("A level has converged when the slope of the scene frequency, per step, is below the "
          "threshold convergence_hits times in a row (hits). Rounds: of growth, at that level.",)
         ) if rows else None
 
 
-def option_table(options: Mapping[str, Any]) -> Table:
+def _option_table(options: Mapping[str, Any]) -> Table:
     """A row for each fact, then for each option in order, then for all else that was recorded."""
     known = (*FACTS, *(option.name for option in options_of(TrainOptions)))
     names = [name for name in known if name in options]

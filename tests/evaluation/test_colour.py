@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.evaluation.colour import fit_colour
+from clsplat.evaluation.metrics import fit_colour
 from clsplat.evaluation.metrics import psnr
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import correlate1d
 
-from clsplat.evaluation.flip import PIXELS_PER_DEGREE, flip, flip_map
+from clsplat.evaluation.metrics import PIXELS_PER_DEGREE, flip, flip_map
 
 WHITE = np.array([0.950428545, 1.0, 1.088900371])  # D65
 TO_XYZ = np.array([[10135552 / 24577794, 8788810 / 24577794, 4435075 / 24577794],

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.evaluation.lpips import Lpips
+from clsplat.evaluation.metrics import Lpips
 from clsplat.evaluation.views import FINAL_METRICS, final_metrics
 
 DATA = Path(__file__).resolve().parents[1] / "data"

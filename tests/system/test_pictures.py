@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from clsplat.cli.main import main
-from clsplat.evaluation.error_map import error_map
+from clsplat.evaluation.pictures import error_map
 from clsplat.io.photos.images import read_image
 from tests.data.tiny_training import STILL, trained
 
