@@ -141,8 +141,8 @@ def survey_of(scene: Scene) -> Survey:
 
 
 def ground_samples(scene: Scene, points: NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    """The median depth of points float64[N, 3] in each of some photos that show any, and the size of
-    a pixel there, local units."""
+    """The median depth of points float64[N, 3] in each of some photos that show any, and the size
+    of a pixel there, local units."""
     depths, pixels = [], []
     for view in scene.views[::max(1, len(scene.views) // MOST_MEASURED)]:
         seen = points[view.sees(points)]
@@ -154,8 +154,8 @@ def ground_samples(scene: Scene, points: NDArray[np.float64]) -> tuple[list[floa
 
 def _overlap(scene: Scene, ground: NDArray[np.float64], axes: NDArray[np.float64]
              ) -> Overlap | None:
-    """The map of overlap, on the heights of the points nearby: points [M, 3] in the axes of the map,
-    which are the rows of `axes` [3, 3] in original coordinates."""
+    """The map of overlap, on the heights of the points nearby: points [M, 3] in the axes of the
+    map, which are the rows of `axes` [3, 3] in original coordinates."""
     low, high = np.quantile(ground[:, :2], EXTENT, axis=0)
     size = float((high - low).max()) / CELLS
     if not size > 0:

@@ -17,13 +17,9 @@ from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.align import aligned
-from clsplat.evaluation.metrics import fit_colour
-from clsplat.evaluation.pictures import error_map
-from clsplat.evaluation.metrics import flip
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
-from clsplat.evaluation.metrics import Lpips
-from clsplat.evaluation.metrics import psnr, ssim
-from clsplat.evaluation.pictures import Pictures, ShownView, chosen_views, shown_view
+from clsplat.evaluation.metrics import Lpips, fit_colour, flip, psnr, ssim
+from clsplat.evaluation.pictures import Pictures, ShownView, chosen_views, error_map, shown_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.folders import make_folder

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from clsplat.io.runs.city import PICTURE
-from clsplat.report.scores import Record
 from clsplat.report.page import Table, embedded
+from clsplat.report.scores import Record
 
 SEAM_COLUMNS = {  # figure of a border -> its title
     "pixels": "pixels",

@@ -8,7 +8,7 @@ from matplotlib.colors import LightSource, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from clsplat.report.drawing import own_settings
+from clsplat.report.charts import own_settings
 
 DPI = 100
 SUN = 315, 45  # degrees, azimuth and elevation: from the north-west, as maps are shaded

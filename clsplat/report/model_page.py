@@ -25,7 +25,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.models.quantise import morton_order, smallest_three
 from clsplat.io.models.values import colours_of, opacities
-from clsplat.report.groups import full_name
+from clsplat.report.page import full_name
 from clsplat.scene import NEAR_SHARE
 
 POSITION_STEPS = 2**24 - 1  # three bytes

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from html import escape
 
-from clsplat.evaluation.survey import Survey, missing_photos, spreads, survey_of
-from clsplat.georeference import CHECK, CONTROL, LEFT_OUT
+from clsplat.evaluation.survey import Survey, spreads, survey_of
+from clsplat.georeference import CHECK, CONTROL
 from clsplat.report.charts import drawn, survey_figure
 from clsplat.report.page import Table, folded, headed, warning
 from clsplat.scene import Scene

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.evaluation.metrics import fit_colour
-from clsplat.evaluation.metrics import psnr
+from clsplat.evaluation.metrics import fit_colour, psnr
 
 
 def quadratic(image):

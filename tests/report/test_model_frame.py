@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from clsplat.gaussians import Gaussians
-from clsplat.report import model_frame as notebook
-from clsplat.report.model_frame import likely_up, model_frame, smaller
+from clsplat.report import notebook
+from clsplat.report.notebook import likely_up, model_frame, smaller
 from tests.apps.browser import answer_of, needs_chromium
 
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from clsplat.io.atomic import replacing
-from clsplat.report.curves import reached, spread
 from clsplat.report.page import Table
+from clsplat.report.scores import reached, spread
 from tools.studies.study import cell, markdown
 
 CC, PLAIN = "psnr_cc", "psnr"
