@@ -199,7 +199,8 @@ def time_table(result: Mapping[str, Any]) -> Table:
                 cells.append("-")
             else:
                 bound = "≤ " if any(crossing["upper_bound"] for crossing in crossings) else ""
-                cells.append(bound + _with_spread(*spread(each["seconds"] for each in crossings), 1))
+                times = spread(each["seconds"] for each in crossings)
+                cells.append(bound + _with_spread(*times, 1))
         cells.append(_with_spread(group["mean"][key], group["deviation"][key], 2))
         lacking = sum(run[key] is None for run in runs)
         if lacking:
