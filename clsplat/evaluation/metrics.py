@@ -132,7 +132,7 @@ class Lpips:
     def __call__(self, image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
         """LPIPS of two images; InputError if the network does not give one number for them.
 
-        Pixels that do not count are those of the photo in both, as a network looks at more than one.
+        Pixels that do not count are those of the photo in both: a network looks at more than one.
         """
         if valid is not None:
             image = np.where(valid[..., None], image, photo)
