@@ -76,23 +76,16 @@ class Raster:
                 file.build_overviews(sizes, Resampling.average)
         self._levels += len(sizes)
 
-    def level(self, largest: float, pixels: bool = False) -> int:
-        """The finest level of at most so many pixels, in all or along the longer side."""
-        sizes = [(-(-self.grid.columns // 2**level), -(-self.grid.rows // 2**level))
-                 for level in range(self._levels)]
-        return next((level for level, size in enumerate(sizes)
-                     if (size[0] * size[1] if pixels else max(size)) <= largest), self._levels - 1)
+    def level(self, largest: float) -> int:
+        """The finest level of at most so many pixels along the longer side."""
+        side = max(self.grid.columns, self.grid.rows)
+        return next((level for level in range(self._levels) if -(-side // 2**level) <= largest),
+                    self._levels - 1)
 
     def whole(self, level: int) -> NDArray[Any]:
         """A level in one piece, [H, W, bands]: for coarse ones."""
         with self._at(level) as file:
             return np.moveaxis(file.read(), 0, -1)
-
-    def parts(self, level: int) -> Iterator[tuple[int, int, NDArray[Any]]]:
-        """(first column, first row, [h, w, bands]) of every tile of a level."""
-        with self._at(level) as file:
-            for _, window in file.block_windows(1):
-                yield window.col_off, window.row_off, np.moveaxis(file.read(window=window), 0, -1)
 
     def close(self) -> None:
         """End the writing of tiles."""

@@ -1,4 +1,4 @@
-"""The map of a run: orthophoto and surface as GeoTIFF, contour lines, points and pictures, and a
+"""The map of a run: orthophoto and surface as GeoTIFF, contour lines and a picture, and a
 statement of how exact it is."""
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from clsplat.apps.map_grid import TILE, MapGrid, ground_resolution
 from clsplat.apps.orthophoto import Extent, MapPainter, extent_of, halved_pixels
 from clsplat.apps.surface import (
     MARGIN,
-    MOST_POINTS,
     ContourLine,
     contour_interval,
     contour_lines,
@@ -27,7 +26,6 @@ from clsplat.apps.surface import (
     pits,
     smoothed,
     write_contours,
-    write_surface,
 )
 from clsplat.device import Device
 from clsplat.errors import InputError
@@ -40,9 +38,9 @@ from clsplat.io.records import write_object
 from clsplat.report.map_preview import write_preview
 from clsplat.scene import Scene
 
-ORTHOPHOTO, SURFACE, POINTS = "orthophoto.tif", "surface.tif", "surface.laz"
+ORTHOPHOTO, SURFACE = "orthophoto.tif", "surface.tif"
 CONTOURS, PREVIEW, RECORD = "contours.geojson", "preview.png", "map.json"
-FILES = ORTHOPHOTO, SURFACE, POINTS, CONTOURS, PREVIEW, RECORD
+FILES = ORTHOPHOTO, SURFACE, CONTOURS, PREVIEW, RECORD
 CONTOUR_SIDE = 3000  # pixels of the coarser raster that they are made from
 PREVIEW_SIDE = 1400  # pixels, the longer side of each of its pictures
 HEIGHTS = (0.01, 0.99)  # quantiles that the record has: single pixels may be far off
@@ -57,9 +55,8 @@ Phase = Callable[[str], object]
 
 
 def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Path, *,
-              interval: float | None = None, points: bool = True, fill: int = 0,
-              follow: bool = False, count: Count = lambda *_: None,
-              phase: Phase = lambda _: None) -> dict[str, Any]:
+              interval: float | None = None, fill: int = 0, follow: bool = False,
+              count: Count = lambda *_: None, phase: Phase = lambda _: None) -> dict[str, Any]:
     """Write the map of a run into a folder; the files of an earlier map are replaced or removed.
 
     Parameters
@@ -69,7 +66,6 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
     device : an open device.
     folder : created if it is missing.
     interval : between contour lines, map units; None: a round number that suits; 0: none.
-    points : whether to write POINTS.
     fill : holes of at most so many pixels across are filled, at most MARGIN.
     follow : whether the bounds become those of all that the map can show.
     count, phase : called with what is done, how much of it, and how much there is; and with what
@@ -122,11 +118,6 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         if interval:
             _write_contours(folder / CONTOURS, lines, grid, level, crs)
             files.append(CONTOURS)
-        if points:
-            phase("writing points")
-            write_surface(folder / POINTS, surface, colours,
-                          surface.level(MOST_POINTS, pixels=True), crs)
-            files.append(POINTS)
     known = heights[np.isfinite(heights)]
     record = {
         "crs": crs, "unit": unit, "resolution": grid.resolution,

@@ -1,4 +1,4 @@
-"""The surface of a map: heights that the light supports, small holes filled, contour lines, points.
+"""The surface of a map: heights that the light supports, small holes filled, contour lines.
 
 Where the ground is thin, half of the light passes it and ends at stray gaussians far below, so that
 the median depth has a pit there. A pit differs from a true hole or a street between houses in where
@@ -20,10 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from clsplat.apps.geotiff import Raster
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
-from clsplat.io.models.points import Part, write_points
 
 WINDOW, STEP = 13, 8  # samples of the local median along a side, and pixels between them
 MARGIN = (WINDOW // 2 + 1) * STEP  # pixels around a tile that its windows need
@@ -35,8 +33,6 @@ USUAL = (0.02, 0.98)  # quantiles of the heights
 SMOOTHING = 4.0  # pixels: noise of single pixels is no contour line
 SHORTEST = 48  # points of a line; shorter ones are noise
 DIGITS = 9  # of heights
-MOST_POINTS = 10_000_000  # of a LAZ file; a larger map gives a point to several pixels
-FINENESS = 100  # coordinates are stored as multiples of about this part of a pixel
 
 Heights = NDArray[np.floating]  # [H, W], nan: unknown
 Mask = NDArray[np.bool_]
@@ -149,31 +145,3 @@ def write_contours(path: Path, lines: list[ContourLine],
         for (height, _), place in zip(lines, np.split(np.round(to_place(vertices), digits), ends))]
     with replacing(path) as file:
         file.write(json.dumps({"type": "FeatureCollection", "features": features}).encode())
-
-
-def write_surface(path: Path, surface: Raster, colours: Raster, level: int, crs: str | None
-                  ) -> None:
-    """Replace a LAS or LAZ file by a point for every known pixel of a surface.
-
-    Parameters
-    ----------
-    path : the file; its suffix .laz compresses it.
-    surface, colours : rasters of the same size: heights first, and red, green, blue and alpha.
-    level : of the rasters that is taken.
-    crs : coordinate reference system (CRS) as pyproj accepts it; None: none is written.
-    """
-    ends = [(np.nanmin(part[..., 0]), np.nanmax(part[..., 0]))
-            for _, _, part in surface.parts(level) if np.isfinite(part[..., 0]).any()]
-    lows, highs = zip(*ends) if ends else ((0.0,), (0.0,))
-    left, bottom, right, top = surface.grid.bounds
-    size = surface.grid.resolution * 2**level
-
-    def points(column: int, row: int, heights: Heights, colour: NDArray[np.uint8]) -> Part:
-        rows, columns = np.nonzero(np.isfinite(heights))
-        places = np.column_stack([left + (column + columns + 0.5) * size,
-                                  top - (row + rows + 0.5) * size, heights[rows, columns]])
-        return places, colour[rows, columns, :3] / 255, np.zeros(len(places))
-    parts = (points(column, row, part[..., 0], colour) for (column, row, part), (_, _, colour)
-             in zip(surface.parts(level), colours.parts(level)))
-    write_points(path, parts, ((left, bottom, min(lows)), (right, top, max(highs))),
-                 size / FINENESS, crs)

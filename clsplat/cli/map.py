@@ -52,28 +52,26 @@ LENGTH, FILL = Parsed("LENGTH", length_of), Parsed("PIXELS", pixels_of)
               "such as 50cm, 0 for none. Default: about 15 lines.")
 @click.option("--fill", type=FILL, default="0px", help="Fill holes of at most this width, such as "
               f"5px; at most {MOST_FILLED}px. Default: none.")
-@click.option("--no-points", is_flag=True, help="Do not write surface.laz.")
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier map.")
 @moved_scene_flag
 @device_flag
 def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None,
                 bounds: tuple[float, float, float, float] | None,
-                contours: tuple[float, bool] | None, fill: int, no_points: bool, overwrite: bool,
+                contours: tuple[float, bool] | None, fill: int, overwrite: bool,
                 scene: Path | None, device: str) -> None:
     """Draw RUN from straight above, as a map.
 
-    Writes a true orthophoto and a surface model as GeoTIFF, contour lines as GeoJSON, the surface
-    as LAZ, a preview and a record. Alpha is 0 in holes, and where fewer than two photos show the
+    Writes a true orthophoto and a surface model as GeoTIFF, contour lines as GeoJSON, a preview
+    and a record. Alpha is 0 in holes, and where fewer than two photos show the
     place. Heights that the model is unsure of are left out of the surface.
     """
     from dataclasses import replace
 
-    from clsplat.apps.map import FILES, POINTS, sentences, write_map
+    from clsplat.apps.map import FILES, sentences, write_map
     from clsplat.apps.map_grid import map_grid
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
-    from clsplat.io.models.points import laspy_for
     for name in FILES:
         check_free(output / name, overwrite)
     opened = Run.open(run)
@@ -89,18 +87,11 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None,
                          "right and top, with left below right and bottom below top")
     interval = _units("--contours", contours, metric)
     grid = map_grid(data, size, bounds)
-    points = not no_points
-    if points:
-        try:
-            laspy_for(output / POINTS)
-        except InputError as error:
-            points = False
-            click.echo(f"left out: {error}", err=True)
     with Progress() as progress:
         progress.phase("opening the device")
         chosen = choose_device(device)
-        record = write_map(opened, data, grid, chosen, output, interval=interval, points=points,
-                           fill=fill, follow=bounds is None,
+        record = write_map(opened, data, grid, chosen, output, interval=interval, fill=fill,
+                           follow=bounds is None,
                            count=progress.count, phase=progress.phase)
     unit = "m" if metric else "scene units"
     low, high = record["heights"]

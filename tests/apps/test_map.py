@@ -9,7 +9,6 @@ import pytest
 import rasterio
 from click.testing import CliRunner
 
-from clsplat.apps import map as module
 from clsplat.apps.map import write_map
 from clsplat.apps.map_grid import ground_resolution, map_grid
 from clsplat.cli.main import main
@@ -32,7 +31,7 @@ def run_of(path, scene):
 def drawn(device, folder, resolution=0.05, georeference=made.UTM, **options):
     scene = made.scene(georeference)
     grid = map_grid(scene, resolution)
-    record = write_map(run_of(folder, scene), scene, grid, device, folder, points=False, **options)
+    record = write_map(run_of(folder, scene), scene, grid, device, folder, **options)
     return grid, record, *rasters(folder)
 
 
@@ -123,36 +122,15 @@ def test_where_nothing_is_known(item_device, tmp_path):
     scene = made.scene(None)
     bounds = (80.0, -70.0, 120.0, -30.0)
     grid = map_grid(scene, 0.1, bounds)
-    write_map(run_of(tmp_path, scene), scene, grid, item_device, tmp_path, points=False)
+    write_map(run_of(tmp_path, scene), scene, grid, item_device, tmp_path)
     colours, heights = rasters(tmp_path)
     assert (colours[:70, :70, 3] == 0).all() and np.isnan(heights[:70, :70]).all()
     assert np.array_equal(np.isnan(heights), colours[..., 3] == 0)
     assert not (colours[..., :3][colours[..., 3] == 0]).any()
     alone = dataclasses.replace(scene, views=scene.views[:1])
     with pytest.raises(InputError, match="--bounds"):
-        write_map(run_of(tmp_path, alone), alone, grid, item_device, tmp_path / "one",
-                  points=False)
+        write_map(run_of(tmp_path, alone), alone, grid, item_device, tmp_path / "one")
     assert not any((tmp_path / "one").iterdir())
-
-
-@pytest.mark.slow
-def test_the_surface_as_points(item_device, tmp_path, monkeypatch):
-    laspy = pytest.importorskip("laspy", reason="laspy is not installed (extra geo)")
-    pytest.importorskip("lazrs", reason="lazrs is not installed (extra geo)")
-    monkeypatch.setattr(module, "MOST_POINTS", 100_000)  # so that a coarser surface is taken
-    scene = made.scene()
-    grid = map_grid(scene, 0.02)
-    write_map(run_of(tmp_path, scene), scene, grid, item_device, tmp_path)
-    cloud = laspy.read(tmp_path / "surface.laz")
-    assert cloud.header.parse_crs().to_epsg() == 32633 and 80_000 < len(cloud.points) <= 100_000
-    left, bottom, right, top = grid.bounds
-    assert cloud.x.min() > left and cloud.x.max() < right
-    assert cloud.y.min() > bottom and cloud.y.max() < top
-    base = made.OFFSET[2] + made.UTM.offset[2]
-    roof = np.asarray(cloud.z) > base + 1.9
-    assert abs(np.asarray(cloud.z)[roof] - base - made.ROOF).max() < 0.01
-    assert abs(roof.sum() * 0.08**2 - (2 * made.HOUSE + 2.4 * made.SPACING)**2) < 2
-    assert (np.asarray(cloud.blue)[roof] > np.asarray(cloud.red)[roof]).all()
 
 
 def test_the_grid_follows_the_photos():
@@ -173,7 +151,7 @@ def test_the_grid_follows_the_photos():
 
 def test_the_command(tmp_path, monkeypatch):
     monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(None)))
-    words = ["map", "run", "-o", str(tmp_path / "map"), "--resolution", "0.1", "--no-points"]
+    words = ["map", "run", "-o", str(tmp_path / "map"), "--resolution", "0.1"]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0 and "heights 7.00 to 9.00" in result.output, result.output
     assert {path.name for path in (tmp_path / "map").iterdir()} == FILES

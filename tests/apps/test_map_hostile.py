@@ -63,7 +63,7 @@ def test_refused_in_one_line(mapped, words, message):
     ["--resolution", "20m"]], ids=" ".join)
 def test_drawn(mapped, words):
     size = [] if "--resolution" in words else ["--resolution", "0.5"]
-    folder, result = mapped([*words, *size, "--no-points"])
+    folder, result = mapped([*words, *size])
     assert result.exit_code == 0, result.output
     record = json.loads((folder / "map.json").read_text())
     with rasterio.open(folder / "surface.tif") as file:
@@ -79,7 +79,7 @@ def test_drawn(mapped, words):
 @pytest.mark.slow
 def test_a_scene_with_a_vertical_part(mapped):
     place = dataclasses.replace(made.UTM, crs=normal_crs(COMPOUND))
-    folder, result = mapped(["--resolution", "0.5", "--no-points"], place)
+    folder, result = mapped(["--resolution", "0.5"], place)
     assert result.exit_code == 0 and "heights: EGM96 height" in result.output, result.output
     with rasterio.open(folder / "surface.tif") as file:
         assert file.tags()["VERTICAL_REFERENCE"] == "EGM96 height"
@@ -92,7 +92,7 @@ def test_a_georeference_with_residuals_by_axis_and_a_warning(mapped):
         made.UTM, vertical="EGM96 height (EPSG:5773)",
         warnings=("the residual is 9 % of the flight's size: check the GPS",),
         residuals=tuple(Residual(str(sign), "check", sign * 0.25, 0.25, None) for sign in (-1, 1)))
-    folder, result = mapped(["--resolution", "0.5", "--no-points"], known)
+    folder, result = mapped(["--resolution", "0.5"], known)
     assert "check RMS: east 0.25 m, north 0.25 m" in result.output, result.output
     assert "warning: the residual is 9 %" in result.output
     assert json.loads((folder / "map.json").read_text())["georeference"]["residuals_rms"] == {

@@ -19,7 +19,7 @@ from tests.apps.test_map import run_of
 scene, folder = made.scene(None), Path(sys.argv[1])
 grid = map_grid(scene, 2.99 * made.SIDE / int(sys.argv[2]) * 2 / 3)
 assert min(grid.columns, grid.rows) > 0.98 * int(sys.argv[2])
-write_map(run_of(folder, scene), scene, grid, choose_device("auto"), folder, points=False)
+write_map(run_of(folder, scene), scene, grid, choose_device("auto"), folder)
 # getrusage would count the peak of the process that started this one as well
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
 print(float(status["VmHWM"].split()[0]) / 1024)

@@ -15,7 +15,6 @@ from clsplat.apps.map import write_map
 from clsplat.apps.map_grid import TILE, MapGrid, map_grid
 from clsplat.gaussians import Gaussians
 from clsplat.io.georeference.crs import scene_crs
-from clsplat.io.models.points import write_points
 from clsplat.options import TrainOptions
 from tests.apps.test_map import drawn, rasters, run_of
 from tests.data import ground_model as made
@@ -60,8 +59,6 @@ CODELESS = {
 @pytest.mark.parametrize("text", CODELESS.values(), ids=CODELESS)
 @pytest.mark.one_in(5)
 def test_a_crs_without_a_code_is_read_back_equal(tmp_path, text):
-    """By GDAL from the GeoTIFF, and by laspy from the LAZ."""
-    laspy = pytest.importorskip("laspy", reason="laspy is not installed (extra geo)")
     crs = scene_crs(text)
     check_crs(crs)
     grid = MapGrid(np.eye(3), np.zeros(3), 5e5, 5.7e6, 1.0, 8, 4, 9.0)
@@ -69,12 +66,9 @@ def test_a_crs_without_a_code_is_read_back_equal(tmp_path, text):
     raster.write((0, 0), np.ones((TILE, TILE, 2)))
     raster.finish({})
     raster.save(tmp_path / "a.tif")
-    write_points(tmp_path / "a.las", [(np.full((1, 3), 5e5), np.ones((1, 3)), np.ones(1))],
-                 (np.zeros(3), np.full(3, 6e6)), 0.01, crs)
     with rasterio.open(tmp_path / "a.tif") as file:
         assert file.crs == rasterio.CRS.from_user_input(crs)
         assert pyproj.CRS(file.crs.to_wkt()).is_compound == pyproj.CRS(crs).is_compound
-    assert laspy.read(tmp_path / "a.las").header.parse_crs() == pyproj.CRS(crs)
 
 
 def with_holes():
@@ -102,7 +96,7 @@ def test_a_pit_is_left_out_and_a_true_hole_stays(item_device, tmp_path):
     grid = dataclasses.replace(map_grid(scene, 0.1), floor=-np.inf)  # the local rule alone
     run = SimpleNamespace(path=tmp_path, finished_model=model, options=TrainOptions(),
                           georeference=None)
-    record = write_map(run, scene, grid, item_device, tmp_path, points=False, interval=0)
+    record = write_map(run, scene, grid, item_device, tmp_path, interval=0)
     colours, heights = rasters(tmp_path)
 
     def at(x, y):
@@ -123,7 +117,7 @@ def test_small_holes_are_filled_on_request(item_device, tmp_path):
     model.opacity_logits[(abs(x + 8) < 2.6) & (abs(y) < 2.6)] = -9
     found = []
     for fill in (0, 12):
-        record = write_map(run, scene, grid, item_device, tmp_path, points=False, fill=fill)
+        record = write_map(run, scene, grid, item_device, tmp_path, fill=fill)
         found.append((record, *rasters(tmp_path)))
     (before, _, holes), (after, colours, heights) = found
     small, large = (np.floor(grid.pixels(made.OFFSET[None] + (x, 0, 0))).astype(int)[0][::-1]
@@ -141,7 +135,7 @@ def test_the_extent_is_that_of_all_that_is_covered(item_device, tmp_path):
     kept = scene.points[:, 0] < 3
     half = dataclasses.replace(scene, points=scene.points[kept], colours=scene.colours[kept])
     record = write_map(run_of(tmp_path, half), half, map_grid(half, 0.1), item_device,
-                       tmp_path, points=False, follow=True)
+                       tmp_path, follow=True)
     left, bottom, right, top = record["bounds"]
     middle = made.OFFSET[:2]
     assert abs(np.array([left, bottom, right, top]) - [*(middle - 12), *(middle + 12)]).max() < 1

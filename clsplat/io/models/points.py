@@ -8,7 +8,7 @@ numbers.
 
 import logging
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import plyfile
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -37,7 +37,6 @@ ROWS_AT_A_TIME = 1 << 20
 COLOURS = ("red", "green", "blue")
 HEADER, RECORD_HEAD_BYTES = struct.Struct("<96xII"), 54  # offset to the points, records before them
 RECORD_BYTES = 24  # that are read of a point: three coordinates and three colours
-Part = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]
 
 
 def is_cloud(element: plyfile.PlyElement) -> bool:
@@ -88,59 +87,39 @@ def _cloud(path: Path, points: NDArray[np.float64], colours: NDArray[np.generic]
 
 
 def write_las(path: Path, gaussians: Gaussians, notes: Notes) -> None:
-    """Write the centres of gaussians as LAS or, by the suffix, LAZ; see `models.write_model`."""
+    """Write the centres of gaussians as LAS or, by the suffix, LAZ, with the opacity as intensity;
+    see `models.write_model`. Coordinates are rounded to a power of ten."""
     points = gaussians.positions.astype(np.float64) + gaussians.offset
     typical = np.exp(float(np.median(gaussians.log_scales))) if gaussians.count else 1.0
     place = notes.georeference
     if place is not None:
         points = place.to_map(points)
-    ends = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.zeros(3))
-    write_points(path, [(points, colours_of(gaussians.sh_constant), opacities(gaussians))], ends,
-                 typical / STEPS_A_SCALE, None if place is None else place.crs)
-
-
-def write_points(path: Path, parts: Iterable[Part], ends: tuple[ArrayLike, ArrayLike], step: float,
-                 crs: str | None = None) -> None:
-    """Write points, part by part, as LAS or, by the suffix, LAZ; the file is replaced as a whole.
-
-    Parameters
-    ----------
-    parts : points float64[N, 3], map coordinates; colours float[N, 3]; and intensity float[N], both
-        0 to 1.
-    ends : float64[3] each, below and above all points.
-    step : coordinates are rounded to a power of ten of at most this, if 32 bits can hold them.
-    crs : coordinate reference system of the coordinates; None: unknown.
-
-    Raises
-    ------
-    InputError : laspy or lazrs is missing, or the file cannot be written.
-    """
-    laspy = laspy_for(path)
+    laspy = _laspy_for(path)
     header = laspy.LasHeader(version=VERSION, point_format=POINT_FORMAT)
     header.generating_software = "clsplat"
-    if crs is not None:
-        header.add_crs(pyproj_crs(crs, f"{path}: CRS"))
-    low, high = (np.asarray(end, np.float64) for end in ends)
+    if place is not None:
+        header.add_crs(pyproj_crs(place.crs, f"{path}: CRS"))
+    low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else np.zeros((2, 3))
     header.offsets = np.rint((low + high) / 2)
     reach = np.abs([low - header.offsets, high - header.offsets]).max()
-    header.scales = np.full(3, max(10.0 ** np.floor(np.log10(max(step, FINEST_STEP))),
+    step = max(typical / STEPS_A_SCALE, FINEST_STEP)  # coarser if 32 bits cannot hold it
+    header.scales = np.full(3, max(10.0 ** np.floor(np.log10(step)),
                                    10.0 ** np.ceil(np.log10(max(reach, 1e-300) / STEPS))))
+    record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+    record.x, record.y, record.z = points.T
+    record.red, record.green, record.blue = _shares(colours_of(gaussians.sh_constant)).T
+    record.intensity = _shares(opacities(gaussians))
     with replacing(path) as file, laspy.open(
             file, mode="w", header=header, closefd=False,
             do_compress=path.suffix.lower() == ".laz") as writer:
-        for points, colours, intensity in parts:
-            record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
-            record.x, record.y, record.z = points.T
-            record.red, record.green, record.blue = _shares(colours).T
-            record.intensity = _shares(intensity)
-            writer.write_points(record)
+        writer.write_points(record)
 
 
 def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | None = None
              ) -> tuple[Gaussians, Notes]:
     """Read the points of a LAS or LAZ file as gaussians, converted to a CRS if the file names
     another; see `models.read_with_notes`."""
-    laspy = laspy_for(path)
+    laspy = _laspy_for(path)
     with reading(path, "a LAS or LAZ file"), open_regular(path) as file:
         size = file.seek(0, 2)
         file.seek(0)
@@ -193,7 +172,7 @@ def _shares(values: NDArray[np.floating]) -> NDArray[np.uint16]:
     return np.asarray(np.clip(np.rint(values * 65535), 0, 65535), np.uint16)
 
 
-def laspy_for(path: Path) -> ModuleType:
+def _laspy_for(path: Path) -> ModuleType:
     """laspy; InputError, which names the file that needs it, if it or lazrs is not installed."""
     try:
         import laspy
