@@ -1,7 +1,6 @@
 """Cuts a city into blocks: which views and which start each has, and how many steps it takes."""
 
 import dataclasses
-import json
 import math
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -26,7 +25,6 @@ from clsplat.partition.blocks import block_start, filled, find_windows, owned_sh
 from clsplat.partition.input import world_of
 from clsplat.partition.make import make_partition
 from clsplat.partition.options import BLOCK_STEPS, PartitionOptions
-from clsplat.partition.outline import geojson
 from clsplat.partition.partition import Partition
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Rows
@@ -148,12 +146,9 @@ def block_steps(city: City, steps: float, size: tuple[int, int], facts: SceneFac
 
 
 def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[np.integer]) -> None:
-    """Write the partition as a map and as GeoJSON; `counts` [B]: gaussians that each block owns."""
+    """Write the partition as a map; `counts` [B]: gaussians that each block owns."""
     with replacing(city.picture) as file:
         write_map(file, partition, scene, counts)
-    with replacing(city.map) as file:
-        file.write((json.dumps(geojson(partition, scene, [
-            {"gaussians": int(count)} for count in counts])) + "\n").encode())
 
 
 def requested_of(city: CityFolder) -> dict[str, Any]:

@@ -97,8 +97,8 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
                       ) -> None:
     """Cut the scene of CITY into blocks.
 
-    Needs a finished coarse run in CITY/coarse. Writes partition.json, partition.geojson, the map
-    partition.png, and a folder for each block.
+    Needs a finished coarse run in CITY/coarse. Writes partition.json, the map partition.png, and a
+    folder for each block.
     """
     from clsplat.cities.run import cut_city
     from clsplat.io.runs.city import CityFolder

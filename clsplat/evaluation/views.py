@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -84,7 +84,7 @@ def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Seque
     """
     responses = predicted.responses if predicted else {}
     per_view: list[dict[str, Any]] = []
-    names = score_names(metrics)
+    names = [name + suffix for suffix in ("", "_cc") for name in metrics]
     if align:
         names += [f"{name}_aligned" for name in names] + ["aligned_degrees", "aligned_shift"]
 
@@ -114,34 +114,16 @@ def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Seque
         per_view.append(of_view)
         if keep:
             keep(*shown)
-    return mean_scores(per_view, names, predicted)
+    means = {name: float(np.mean([scores[name] for scores in per_view])) if per_view else math.nan
+             for name in names}
+    applied = {"exposure_weight": predicted.weight} if predicted else {}
+    return {"views": len(per_view), **means, **applied, "per_view": per_view}
 
 
 def scored_at_once(views: Sequence[View]) -> int:
     """How many views are scored at the same time, each in a thread: as many as fit the memory."""
     pixels = max((view.camera.width * view.camera.height for view in views), default=1)
     return max(1, min(os.cpu_count() or 1, SCORING_BYTES // (SCORED_PIXEL_BYTES * pixels)))
-
-
-def mean_scores(per_view: list[dict[str, Any]], names: Iterable[str],
-                predicted: Predicted | None = None) -> dict[str, Any]:
-    """The result of `evaluate_views` from the scores of its views, in their order.
-
-    Parameters
-    ----------
-    per_view : a dict for each view, with its `name` and all scores.
-    names : of the scores.
-    predicted : as for `evaluate_views`.
-    """
-    means = {name: float(np.mean([v[name] for v in per_view])) if per_view else math.nan
-             for name in names}
-    applied = {"exposure_weight": predicted.weight} if predicted else {}
-    return {"views": len(per_view), **means, **applied, "per_view": per_view}
-
-
-def score_names(metrics: Iterable[str]) -> list[str]:
-    """The names of the scores by these metrics, without and with the colour fit."""
-    return [name + suffix for suffix in ("", "_cc") for name in metrics]
 
 
 def pictures_of(renderer: ModelRenderer, rows: Any, degree: int, test: Sequence[View],

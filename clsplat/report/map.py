@@ -12,15 +12,18 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from clsplat.partition.input import world_of
-from clsplat.partition.outline import centroid, extent, outline
+from clsplat.partition.input import CONTENT_QUANTILES, world_of
 from clsplat.partition.partition import Partition
+from clsplat.partition.region import Region
 from clsplat.report.charts import COLOURS, own_settings
 from clsplat.scene import Scene
 
 MOST_POINTS = 60_000  # drawn
 WHITE_SHARE = 0.55  # of the colours of points
 MOST_LABELLED = 16  # blocks; if there are more, only their numbers are written
+SIDE_POINTS = 48  # on each side of a cell in contracted space, where straight sides are curves
+END_DISTANCE = 1e-3  # from the ends of contracted space, where unbounded cells end before clipping
+MARGIN = 0.05  # share of the extent around everything, to which unbounded cells are drawn
 WIDTH, HEIGHTS = 10, (4, 14)  # inches; the height follows the map within these limits
 
 
@@ -44,8 +47,8 @@ def partition_map(partition: Partition, scene: Scene, counts: NDArray[np.integer
     if counts is None:
         owner = partition.owner(points)
         counts = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
-    ends = extent(partition, scene)
-    rings = [outline(region, *ends) for region in partition.regions]
+    ends = _extent(partition, scene)
+    rings = [_outline(region, *ends) for region in partition.regions]
     corners = np.concatenate(rings)
     width, height = np.ptp(corners, axis=0)
     (left, low), (right, high) = corners.min(axis=0), corners.max(axis=0)
@@ -68,7 +71,7 @@ def partition_map(partition: Partition, scene: Scene, counts: NDArray[np.integer
                 few = len(rings) <= MOST_LABELLED
                 axes.annotate(
                     f"{block}" + few * f"\n{counts[block]:,} {counted}\n{views[block]} views",
-                    tuple(centroid(ring)), ha="center", va="center", fontsize=9, fontweight="bold",
+                    tuple(_centroid(ring)), ha="center", va="center", fontsize=9, fontweight="bold",
                     zorder=5, path_effects=[withStroke(linewidth=3, foreground="white")])
         _draw_cameras(figure, axes, partition, scene)
         axes.set(xlim=(left - 0.02 * width, right + 0.02 * width), aspect="equal",
@@ -103,3 +106,67 @@ def _draw_cameras(figure: Figure, axes: Axes, partition: Partition, scene: Scene
             axes.plot(x[chosen], y[chosen], marker, color=colour, markersize=9, markeredgewidth=2,
                       label=kind, zorder=4)
             axes.legend(loc="upper left", frameon=True, framealpha=0.9)
+
+
+def _extent(partition: Partition, scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The low [2] and high [2] end of the map along u and v, world units from the space's origin.
+
+    The map contains all cameras, and the sparse points without outliers.
+    """
+    axes, origin = partition.space.rotation[:2], partition.space.origin
+    points = (world_of(scene, scene.points) - origin) @ axes.T
+    cameras = (world_of(scene, [v.camera.position for v in scene.views]) - origin) @ axes.T
+    ends = np.concatenate([np.quantile(points, CONTENT_QUANTILES, axis=0), cameras])
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    margin = MARGIN * max((high - low).max(), np.finfo(float).tiny)
+    return low - margin, high + margin
+
+
+def _outline(region: Region, low: NDArray[np.float64], high: NDArray[np.float64]
+            ) -> NDArray[np.float64]:
+    """The corners [K, 2] on the map of a Region's outline at the height of its space's origin.
+
+    It is clipped to `low` [2] and `high` [2] along u and v; K is 0 where nothing is left.
+    """
+    space = region.space
+    if space.contracted:
+        first, last = (np.maximum(region.low, END_DISTANCE)[:2],
+                       np.minimum(region.high, 1 - END_DISTANCE)[:2])
+        middle = 0.5
+    else:
+        first = np.maximum(region.low[:2], low / space.half[:2])
+        last = np.minimum(region.high[:2], high / space.half[:2])
+        middle = 0.0
+    if not (first < last).all():
+        return np.zeros((0, 2))
+    step = np.linspace(0, 1, SIDE_POINTS + 1 if space.contracted else 2)[:-1, None]
+    corners = np.array([first, (last[0], first[1]), last, (first[0], last[1])])
+    ring = np.concatenate([a + step * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0))])
+    world = space.world(np.column_stack([ring, np.full(len(ring), middle)]))
+    along = _clipped((world - space.origin) @ space.rotation[:2].T, low, high)
+    return space.map(space.origin + along @ space.rotation[:2])
+
+
+def _centroid(ring: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The centroid [2] of a polygon [K, 2]."""
+    a = ring - ring[0]  # far from the origin, products of coordinates would lose digits
+    b = np.roll(a, -1, 0)
+    cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    centre: NDArray[np.float64] = ring[0] + cross @ (a + b) / (3 * cross.sum())
+    return centre
+
+
+def _clipped(polygon: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+             ) -> NDArray[np.float64]:
+    """The part of a polygon [K, 2] inside a rectangle (Sutherland and Hodgman 1974)."""
+    for axis in (0, 1):
+        for sign, end in ((1, low[axis]), (-1, high[axis])):
+            beyond = sign * (polygon[:, axis] - end)  # negative: outside
+            kept = []
+            for a, b, at, bt in zip(polygon, np.roll(polygon, -1, 0), beyond, np.roll(beyond, -1)):
+                if at >= 0:
+                    kept.append(a)
+                if (at >= 0) != (bt >= 0):
+                    kept.append(a + at / (at - bt) * (b - a))
+            polygon = np.array(kept).reshape(-1, 2)
+    return polygon

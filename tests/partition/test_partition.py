@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from clsplat.errors import InputError
 from clsplat.partition.make import METHODS, make_partition
 from clsplat.partition.options import PartitionOptions
-from clsplat.partition.outline import geojson
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
 from tests.data.fields import cut, field, moved, world
@@ -191,26 +190,3 @@ def test_blocks_of_different_spaces_are_refused():
     _, right = Region(Space(np.eye(3), np.ones(3), np.ones(3))).cut(0, 0.0)
     with pytest.raises(ValueError, match="differ"):
         Partition("citygs", (left, right), (np.arange(2),) * 2)
-
-
-@EACH_METHOD
-def test_geojson_tiles_the_map(method):
-    scene = field(cameras=20)
-    partition = cut(scene, method, (3, 3), views=np.arange(1, 20))
-    text = geojson(partition, scene, [{"gaussians": 7}] * 9)
-    assert json.loads(json.dumps(text, allow_nan=False)) == text
-    cells = [f for f in text["features"] if f["geometry"]["type"] == "Polygon"]
-    cameras = [f for f in text["features"] if f["geometry"]["type"] == "Point"]
-    assert len(cells) == 9 and len(cameras) == 20 and cells[4]["properties"]["gaussians"] == 7
-    area, corners = 0.0, []
-    for block, cell in enumerate(cells):
-        ring = np.array(cell["geometry"]["coordinates"][0])
-        assert np.array_equal(ring[0], ring[-1])
-        area += np.sum(ring[:-1, 0] * ring[1:, 1] - ring[1:, 0] * ring[:-1, 1]) / 2
-        corners.append(ring)
-        middle = np.array([*np.mean(ring[:-1], axis=0), partition.space.origin[2]])
-        assert partition.owner(middle[None]).tolist() == [block]
-    along = np.concatenate(corners) @ partition.space.rotation[:2, :2].T
-    assert area == pytest.approx(np.prod(np.ptp(along, axis=0)), rel=1e-3)
-    assert cameras[0]["properties"]["blocks"] == 0  # held out
-    assert [c["properties"]["view"] for c in cameras] == [v.name for v in scene.views]

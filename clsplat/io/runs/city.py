@@ -7,7 +7,6 @@ a kill at any moment.
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL
+from clsplat.io.folders import new_folder
 from clsplat.io.models.ply import start_of, write_ply
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
 from clsplat.io.reason import reason
@@ -50,7 +50,7 @@ class CityFolder:
     undistorted : folder of the undistorted photos of a scene that needs them.
     dense, joint_start : PLYs of the gaussians at dense points, and of the points at which the joint
         training begins.
-    map, picture : the partition as GeoJSON and as an image.
+    picture : the partition as an image.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -58,7 +58,7 @@ class CityFolder:
         self.coarse = self.path / "coarse"
         self.undistorted, self.dense = self.path / UNDISTORTED, self.path / "dense.ply"
         self.joint, self.joint_start = self.path / "joint", self.path / "joint_start.ply"
-        self.map, self.picture = self.path / "partition.geojson", self.path / PICTURE
+        self.picture = self.path / PICTURE
 
     @property
     def has_record(self) -> bool:
@@ -160,10 +160,9 @@ class CityFolder:
         if not len(part.points):
             raise InputError(f"{block.path}: the {len(part.views)} views of block {number} see "
                              "none of the sparse points; use fewer blocks")
-        partial = block.path.with_name(block.path.name + PARTIAL)
-        try:
-            shutil.rmtree(partial, ignore_errors=True)
-            partial.mkdir(parents=True)
+        left = block.path.with_name(block.path.name + PARTIAL)
+        shutil.rmtree(left, ignore_errors=True)  # by a process that was killed
+        with new_folder(block.path) as partial:
             write_scene(partial, part)
             write_object(partial / REGION, {**region.record(), WINDOWS: dict(windows),
                                              VISITS: dict(visits or {})})
@@ -173,13 +172,6 @@ class CityFolder:
                     if view.name in exposures})
             write_ply(partial / INITIAL, initial, scene.offset, sphere=True)
             write_object(partial / BLOCK, record)
-            os.rename(partial, block.path)
-        except BaseException as error:
-            shutil.rmtree(partial, ignore_errors=True)
-            if not isinstance(error, OSError):
-                raise
-            raise InputError(f"{block.path}: cannot be written ({error.strerror}); check that the "
-                             "disk has space, and that nothing else has that name") from error
         return block
 
 
