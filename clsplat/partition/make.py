@@ -44,18 +44,13 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
     side = np.maximum((high - low)[:2], np.finfo(float).tiny)
     grid = options.grid or choose_grid(options.needed, side[0] / side[1])
     regions, assigned = METHODS[options.method](data, grid, options, drop)
-    notes = []
-    if len(regions) < grid[0] * grid[1]:
-        notes.append(f"{grid[0] * grid[1]} blocks were requested, but the scene can only be cut "
-                     f"into {len(regions)}")
     if options.grid is not None and options.starved == "refuse" and len(regions) > 1:
         _refuse_starved(data, options, grid, regions, assigned)
     else:
-        regions, assigned, joined = _join_starved(data, options, regions, assigned)
-        notes += joined
+        regions, assigned = _join_starved(data, options, regions, assigned)
     return Partition(options.method, tuple(regions),
                      tuple(data.views[np.flatnonzero(row)] for row in assigned),
-                     _dropped(data, regions, assigned), tuple(notes))
+                     _dropped(data, regions, assigned))
 
 
 def choose_grid(needed: int, aspect: float) -> tuple[int, int]:
@@ -95,21 +90,20 @@ def _refuse_starved(data: PartitionInput, options: PartitionOptions, grid: tuple
         others = f" (and {len(starved) - 1} more)" if len(starved) > 1 else ""
         raise InputError(
             f"{data.scene.name}: block {first}{others} of the {grid[0]}x{grid[1]} grid is starved: "
-            f"{_contents(counts[first], assigned[first])}, it needs "
+            f"{counts[first]:,} gaussians and {assigned[first].sum()} views, it needs "
             f"{options.least_gaussians:,} and {options.least_views}; use a smaller --grid, or "
             "--starved join")
 
 
 def _join_starved(data: PartitionInput, options: PartitionOptions, regions: Sequence[Region],
-                  assigned: NDArray[np.bool_]) -> tuple[list[Region], NDArray[np.bool_], list[str]]:
+                  assigned: NDArray[np.bool_]) -> tuple[list[Region], NDArray[np.bool_]]:
     """Join starved blocks one by one, those with the least content first.
 
     Each is joined to the neighbour with the least content among those with which it makes a box.
-    The blocks keep their order. Returns the regions, bool[B, V] with the views that are assigned
-    to each, and one note for each block that was joined or could not be.
+    The blocks keep their order. Returns the regions, and bool[B, V] with the views that are
+    assigned to each.
     """
     cells, counts, views = list(regions), _counts(data, regions).tolist(), list(assigned)
-    notes: list[str] = []
     alone: list[Region] = []  # starved blocks that have no such neighbour
     while len(cells) > 1:
         starved = [block for block in np.flatnonzero(_starved(options, counts, np.array(views)))
@@ -119,9 +113,7 @@ def _join_starved(data: PartitionInput, options: PartitionOptions, regions: Sequ
         poorest = int(min(starved, key=counts.__getitem__))
         unions = {other: union for other, region in enumerate(cells)
                   if (union := _union(cells[poorest], region)) is not None}
-        contents = _contents(counts[poorest], views[poorest])
         if not unions:
-            notes.append(f"a block stays starved, no neighbour makes a box with it: {contents}")
             alone.append(cells[poorest])
             continue
         other = min(unions, key=counts.__getitem__)
@@ -130,8 +122,7 @@ def _join_starved(data: PartitionInput, options: PartitionOptions, regions: Sequ
         counts[first] += counts.pop(last)
         views[first] = views[first] | views.pop(last)
         del cells[last]
-        notes.append(f"a starved block was joined to its neighbour: {contents}")
-    return cells, np.array(views), notes
+    return cells, np.array(views)
 
 
 def _counts(data: PartitionInput, regions: Sequence[Region]) -> NDArray[np.integer]:
@@ -146,10 +137,6 @@ def _starved(options: PartitionOptions, counts: Sequence[int] | NDArray[np.integ
     starved: NDArray[np.bool_] = ((np.array(counts) < options.least_gaussians)
                                   | (assigned.sum(axis=1) < options.least_views))
     return starved
-
-
-def _contents(count: int, assigned: NDArray[np.bool_]) -> str:
-    return f"{count:,} gaussians and {assigned.sum()} views"
 
 
 def _union(a: Region, b: Region) -> Region | None:

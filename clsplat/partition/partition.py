@@ -57,14 +57,12 @@ class Partition:
     regions : the cell of each block.
     views : [K] for each block; indices into scene.views, ascending.
     dropped : for each view that no block is assigned, by its index, the reason.
-    notes : other remarks for the user, one line each.
     """
 
     method: str
     regions: tuple[Region, ...]
     views: tuple[NDArray[np.integer], ...]
     dropped: dict[int, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.regions or len(self.regions) != len(self.views):
@@ -101,8 +99,7 @@ class Partition:
                 "regions": [{key: value for key, value in region.record().items()
                              if key != "space"} for region in self.regions],
                 "views": [views.tolist() for views in self.views],
-                "dropped": {str(view): why for view, why in self.dropped.items()},
-                "notes": list(self.notes)}
+                "dropped": {str(view): why for view, why in self.dropped.items()}}
 
     @classmethod
     def from_record(cls, record: Any) -> Partition:
@@ -113,7 +110,6 @@ class Partition:
             return cls(
                 str(record["method"]), regions,
                 tuple(np.array(views, int).reshape(-1) for views in record["views"]),
-                {int(view): str(why) for view, why in record["dropped"].items()},
-                tuple(str(note) for note in record["notes"]))
+                {int(view): str(why) for view, why in record["dropped"].items()})
         except (KeyError, TypeError, AttributeError, OverflowError) as error:
             raise ValueError(f"not a record of a partition ({error})") from None

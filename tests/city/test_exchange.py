@@ -52,7 +52,7 @@ def stopped(tmp_path_factory, item_device):
     city = CityFolder(tmp_path_factory.mktemp("exchange") / "city")
     city.path.mkdir()
     city.write({"fingerprint": fingerprint(scene), "scene": str(scene.path)})
-    city.write_partition(Partition("by hand", (west, east), views, {}, ()).record())
+    city.write_partition(Partition("by hand", (west, east), views).record())
     first = Gaussians.from_points(scene.points, scene.colours, 1)
     for number, region in enumerate((west, east)):
         part = replace(scene, views=tuple(scene.views[i] for i in views[number]),
