@@ -32,16 +32,9 @@ Place = tuple[int, int]  # of a tile: column, row
 
 
 class Raster:
-    """A raster of uint8 colours with alpha, or of float32 with nan where nothing is known.
-
-    Parameters
-    ----------
-    path : of the temporary file, created.
-    grid : of the pixels of the map.
-    crs : name or definition of the CRS; None: a local one.
-    bands : name and unit of each band.
-    colour : whether the bands are red, green, blue and alpha.
-    """
+    """A raster in a temporary file: uint8 red, green, blue and alpha if it has `colour`, else
+    float32 with nan where nothing is known. `bands` are their names and units; without a CRS its
+    coordinates are local."""
 
     def __init__(self, path: Path, grid: MapGrid, crs: str | None,
                  bands: Mapping[str, str | None], colour: bool) -> None:

@@ -129,14 +129,8 @@ def write_contours(path: Path, lines: list[ContourLine],
                    to_place: Callable[[NDArray[np.float64]], NDArray[np.float64]], digits: int
                    ) -> None:
     """Replace a GeoJSON file (RFC 7946); every line is a feature with the property `elevation`.
-
-    Parameters
-    ----------
-    lines : of `contour_lines`.
-    to_place : from (column, row) [N, 2] to the coordinates of the file [N, 2]: longitude and
-        latitude of WGS 84, or the map's coordinates where the scene has no place on the earth.
-    digits : of these coordinates after the point.
-    """
+    `to_place` converts (column, row) [N, 2] to the file's coordinates, with so many digits after
+    the point: longitude and latitude, or the map's where the scene has no place on the earth."""
     vertices = np.concatenate([np.empty((0, 2)), *(line for _, line in lines)])
     ends = np.cumsum([len(line) for _, line in lines])
     features: list[dict[str, Any]] = [

@@ -28,12 +28,8 @@ LEAST_ANGLE = np.radians(1.0)  # between rays; from closer ones the distance is 
 
 
 class NotGeoreferenced(InputError):
-    """Why a reconstruction has no place on the earth.
-
-    Attributes
-    ----------
-    expected : whether nothing is wrong: there are simply too few positions.
-    """
+    """Why a reconstruction has no place on the earth; `expected` if nothing is wrong, and there are
+    simply too few positions."""
 
     def __init__(self, why: str, expected: bool = False) -> None:
         super().__init__(why)
@@ -42,13 +38,8 @@ class NotGeoreferenced(InputError):
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """A ground control point that its marks locate in a reconstruction.
-
-    Attributes
-    ----------
-    marks : (id of a pycolmap.Image, x, y), those that agree with each other.
-    place : float64[3], where the rays of the marks meet, in the reconstruction.
-    """
+    """A ground control point with the marks, (id of a pycolmap.Image, x, y), that agree with each
+    other, and the place where their rays meet in the reconstruction."""
 
     point: ControlPoint
     marks: tuple[tuple[int, float, float], ...]
@@ -144,20 +135,15 @@ def intersection(origins: NDArray[np.float64], directions: NDArray[np.float64],
 
 def adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.float64],
            keep_focal: bool) -> list[Located]:
-    """Adjust cameras and points of a reconstruction in place, so that control points lie where
-    they are known to.
+    """Adjust cameras and points of a reconstruction, nearly in its place, so that control points
+    lie where they are known to; returns those that were used, as the others are wrong.
 
     Parameters
     ----------
-    reconstruction : a pycolmap.Reconstruction, nearly in its place.
-    located : the control points, none of which is a check point.
+    located : the control points, none of which is a check point. NotGeoreferenced if fewer than
+        three of them agree with the photos.
     offset : float64[3], map coordinates of the reconstruction's origin.
     keep_focal : whether focal lengths are known better than from the photos.
-
-    Returns
-    -------
-    The control points that were used; the others are wrong. NotGeoreferenced if fewer than three
-    of them agree with the photos.
     """
     used = list(located)
     while len(used) >= LEAST_POSITIONS:
@@ -210,12 +196,8 @@ def _mark_error(reconstruction: Any, item: Located, offset: NDArray[np.float64])
 
 def residuals(reconstruction: Any, located: Iterable[Located], used: Iterable[Located],
               offset: NDArray[np.float64]) -> tuple[Residual, ...]:
-    """How a georeferenced reconstruction shows ground control points.
-
-    Parameters
-    ----------
-    used : those of the located points that are neither check points nor wrong.
-    """
+    """How a georeferenced reconstruction shows ground control points, of which those that were used
+    are neither check points nor wrong."""
     names, result = {item.point.name for item in used}, []
     for item in located:
         point = item.point

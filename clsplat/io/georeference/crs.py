@@ -164,18 +164,13 @@ def on_ground(source: str, target: str, points: ArrayLike) -> NDArray[np.float64
 
 def map_positions(degrees: ArrayLike, heights: ArrayLike, crs: str | None = None
                   ) -> tuple[NDArray[np.float64], str]:
-    """Map coordinates of places.
+    """Map coordinates of places, float64[N, 3], nan for those that the CRS cannot represent; and
+    that CRS, by default the UTM zone of the places.
 
     Parameters
     ----------
     degrees : float[N, 2], latitudes and longitudes, WGS 84; at least one place.
     heights : float[N], metres, which are not changed.
-    crs : as `normal_crs` returns it; None: the UTM zone of the places.
-
-    Returns
-    -------
-    float64[N, 3], east, north and height, nan for places that the CRS cannot represent; and that
-    CRS.
     """
     places = np.column_stack([np.asarray(degrees)[:, ::-1], heights]).astype(np.float64)
     valid = (np.abs(places[:, :2]) <= (180, 90)).all(axis=1)
@@ -189,16 +184,9 @@ def map_positions(degrees: ArrayLike, heights: ArrayLike, crs: str | None = None
 
 def cloud_on_map(system: Any, target: str, points: NDArray[np.float64], path: Path | str
                  ) -> NDArray[np.float64] | None:
-    """Points of a file in the CRS of a scene; None if they are in it already.
-
-    Parameters
-    ----------
-    system : the pyproj.CRS of the file.
-    target : as `normal_crs` returns it.
-    points : float64[N, 3], east or longitude first; heights become metres, above whatever they were
-        measured from.
-    path : the file that messages name.
-    """
+    """Points float64[N, 3] of a file with a pyproj.CRS, east or longitude first, in the CRS of a
+    scene; None if they are in it already. Heights become metres, above whatever they were measured
+    from."""
     flat, unit = _flat(system), _heights(system).metres
     if unit == 1 and flat.equals(_flat(pyproj_crs(target, "the scene")), ignore_axis_order=True):
         return None

@@ -145,15 +145,11 @@ def placed(scene: Scene, folder: str | Path) -> Scene:
 
 def placement_comments(up: ArrayLike, georeference: Georeference | None = None
                        ) -> tuple[str, ...]:
-    """Lines for the header of a model's file: where its coordinates lie and which way is up.
+    """Lines for the header of a model's file, in every format with room for text: which way is up,
+    a unit vector in the axes of the file, and where its coordinates lie, if that is known.
 
-    Every format with room for text has these lines. The offset is said not to be contained in the
-    positions, so that no reader adds it twice, or not at all.
-
-    Parameters
-    ----------
-    up : [3], a unit vector in the axes of the file.
-    georeference : of the file's coordinates; None: unknown.
+    The offset is said not to be contained in the positions, so that no reader adds it twice, or not
+    at all.
     """
     vector = np.asarray(up, np.float64)
     lines = [UP_COMMENT + " ".join(f"{value:.9g}" for value in vector)]

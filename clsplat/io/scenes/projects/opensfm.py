@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from clsplat.io.fields import number, numbers, pixels, reading, table, tables
-from clsplat.io.georeference.earth import topocentric
 from clsplat.io.photos.images import image_size
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 from clsplat.io.scenes.posed import Cloud, Optics, PosedPhoto, brown
-from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene
+from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene, topocentric
 from clsplat.scene import Scene
 
 # ODM keeps OpenSfM's own result beside one that it has moved onto its map

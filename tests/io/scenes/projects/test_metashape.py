@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from clsplat.errors import InputError
-from clsplat.io.georeference.earth import topocentric
+from clsplat.io.scenes.projects.scene import topocentric
 from clsplat.io.scenes.read import read_scene
 from tests.data.formulas import colmap, metashape, rays
 from tests.data.layouts import world_points, write_ply

@@ -1,9 +1,12 @@
-"""Photos are found by the names that projects have for them."""
+"""Photos are found by the names that projects have for them; scenes lie where pyproj says."""
 
+import numpy as np
+import pyproj
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.scenes.projects.scene import PhotoFiles
+from clsplat.io.scenes.projects.scene import PhotoFiles, on_map, topocentric
+from clsplat.placement.similarity import Similarity
 
 
 @pytest.fixture
@@ -55,3 +58,42 @@ def test_missing_photos(project):
 def test_names_that_are_none(project, name):
     with pytest.raises(ValueError):
         PhotoFiles(project).find(name)
+
+
+def test_a_kilometre_of_cameras():
+    """East of the zone's middle: what is left is the earth's curvature, centimetres."""
+    random = np.random.default_rng(0)
+    earth = topocentric(52.4, 17.9, 80.0)
+    centres = random.uniform((-500, -500, 50), (500, 500, 150), (100, 3))
+    similarity, georeference = on_map(earth, centres, "", "made")
+    assert georeference.crs == "EPSG:32633" and georeference.offset[0] % 1 == 0
+    exact = np.stack(pyproj.Transformer.from_crs("EPSG:4978", "EPSG:32633", always_xy=True)
+                     .transform(*earth(centres).T), axis=1)
+    places = georeference.to_map(similarity(centres))
+    missed = np.linalg.norm(places - exact, axis=1)
+    assert missed.max() < 0.1
+    assert georeference.residual == pytest.approx(np.sqrt((missed**2).mean()))
+    assert 0.9995 < similarity.scale < 1.0005
+    assert np.abs(similarity(centres)).max() < 1500  # small numbers, the rest is the offset
+
+
+def test_a_reconstruction_in_any_unit_and_frame():
+    """The same cameras in other coordinates come to the same places."""
+    random = np.random.default_rng(1)
+    earth = topocentric(52.4, 17.9, 80.0)
+    axes, place = earth.rotation, earth.translation
+    centres = random.uniform(-100, 100, (20, 3))
+    places, reference = on_map(earth, centres, "", "made")
+    # any rotation, a large shift, 40 units a metre
+    turn, shift = axes.T, np.array([3e4, -2e4, 1e4])
+    other = 40 * centres @ turn.T + shift
+    similarity, georeference = on_map(
+        Similarity(1 / 40, axes @ turn.T, place - axes @ turn.T @ shift / 40), other, "", "made")
+    np.testing.assert_allclose(
+        georeference.to_map(similarity(other)),
+        reference.to_map(places(centres)), atol=5e-3)
+
+
+def test_cameras_that_are_not_on_the_earth():
+    with pytest.raises(ValueError, match="earth's surface"):
+        on_map(Similarity(1.0, np.eye(3), np.zeros(3)), np.ones((2, 3)), "", "made")
