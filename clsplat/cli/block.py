@@ -20,12 +20,9 @@ from clsplat.errors import Interrupted
               help="Seconds to wait for another process that trains this block.")
 @click.option("--alone", is_flag=True, help="Do without the exchanges with other blocks that are "
               "left.")
-@click.option("--until-exchange", type=click.IntRange(min=0), default=0, show_default=True,
-              help="Stop at this exchange with other blocks, once what they need of this one is "
-              "written; 0: go on as far as they have come.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
 def block(folder: Path, device: str | None, stop_at: int | None, wait: float, alone: bool,
-          until_exchange: int, quiet: bool) -> None:
+          quiet: bool) -> None:
     """Train the block of a city in FOLDER.
 
     FOLDER is a CITY/blocks/NNN; the run is written to run/ in it. Continues from the last
@@ -44,7 +41,7 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
     try:
         training = BlockTraining(city_block, changes=changes)
         with nullcontext() if quiet else Progress(training.options.stop_at) as progress:
-            state = training.run(progress, until_exchange, alone, wait)
+            state = training.run(progress, alone=alone, patience=wait)
     except Interrupted:
         raise Interrupted(f"{folder}: stopped, its state is saved; the same command continues"
                           ) from None

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from clsplat.cities.city import City
-from clsplat.cities.joint import begin_with, train_jointly
+from clsplat.cities.finish import begin_with, train_jointly
 from clsplat.cities.merge import merge
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians

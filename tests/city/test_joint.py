@@ -12,8 +12,7 @@ import pytest
 from clsplat.cities import finish
 from clsplat.cities.city import City, train_coarse
 from clsplat.cities.cut import JOINT
-from clsplat.cities.finish import merged_city
-from clsplat.cities.joint import begin_with, joint_options, train_jointly
+from clsplat.cities.finish import begin_with, joint_options, merged_city, train_jointly
 from clsplat.cities.merge import Merged
 from clsplat.cities.run import chosen_partition
 from clsplat.device import choose_device
