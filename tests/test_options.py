@@ -325,3 +325,13 @@ def test_an_option_says_what_it_affects(field):
     assert field.metadata["affects"] in ("model", "time", "nothing")
     assert field.metadata["help"][0].islower() or field.metadata["help"][0].isupper()
     assert not field.metadata["help"].endswith(".")
+
+
+def test_presets_are_what_the_paper_and_the_release_say():
+    paper, release = (resolve({}, {"preset": preset}) for preset in ("paper", "release"))
+    assert paper.levels == (5, 4, 3, 2, 1) and release.levels == (5, 2.5, 5 / 3, 1.25, 1)
+    assert (paper.sphere_neighbours, paper.sphere_shrink, paper.sphere_rule) == (15, 0.7, "paper")
+    assert (release.sphere_neighbours, release.sphere_shrink, release.sphere_rule) == (
+        8, 0.8, "release")
+    assert paper.sphere_reach == release.sphere_reach == 15
+    assert paper.level_share == release.level_share == 1  # no deadlines

@@ -1,6 +1,7 @@
 """The joint training of a merged city: when there is one, with what it begins, and what it ends in.
 """
 
+import json
 import shutil
 import signal
 from dataclasses import replace
@@ -20,7 +21,7 @@ from clsplat.errors import DeviceError, InputError, Interrupted, OutOfDeviceMemo
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
-from clsplat.io.scenes.read import read_scene
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.training.interrupt import handled_interrupts
 from clsplat.training.loop import train
@@ -267,3 +268,15 @@ def test_an_interrupt_in_the_last_step_of_a_part_stops_the_city(tmp_path, item_d
     finally:
         signal.signal(signal.SIGINT, before)
     assert run.is_finished
+
+
+@pytest.mark.slow
+def test_held_out_photos_are_not_trained_on(trained):
+    """The joint training has the scene of one run: the same extent, and the same views held out,
+    of which none is evaluated before the end."""
+    record, scene = RunFolder(trained.joint).read_options(), read_scene(CITY)
+    assert record["test_every"] == trained.read()["options"]["test_every"] == 8
+    assert record["fingerprint"] == fingerprint(scene)
+    assert record["extent"] == pytest.approx(scene.extent)
+    seen = json.loads((trained.joint / "metrics.jsonl").read_text().splitlines()[0])
+    assert seen["event"] == "plan" and "eval" not in (trained.joint / "metrics.jsonl").read_text()

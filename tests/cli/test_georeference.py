@@ -144,3 +144,13 @@ def test_control_points_with_gross_errors(tmp_path, name, change, crs, kind, wor
         record = json.loads((tmp_path / "out" / "georeference.json").read_text())
         assert record["control_count"] == 7 and words in record["vertical"]
         assert record["control_errors"]["up"]["rms"] < 0.1
+
+
+def test_check_points_are_reported(tmp_path):
+    survey = Survey(tmp_path / "scene")
+    control_points(survey, tmp_path / "gcp.txt")
+    name = (tmp_path / "gcp.txt").read_text().split()[-1]
+    code, said = georeference(tmp_path / "scene", "-o", tmp_path / "out", "--gcp",
+                              tmp_path / "gcp.txt", "--check-point", name)
+    assert code == 0 and "georeferenced by 4 ground control points" in said
+    assert "1 check points, which took no part: residual 0.0" in said

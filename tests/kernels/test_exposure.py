@@ -234,3 +234,22 @@ def test_responses_are_what_the_kernels_apply(device):
         assert response.has_vignetting
     without = Run(device).exposures.responses()[0]
     assert isinstance(without, Response) and not without.has_vignetting
+
+
+def test_first_and_late_steps_are_corrected(device):
+    for count in (0, 7, 999, 10**6):
+        run = Run(device)
+        run.state[3][:] = count
+        run.exposures.steps.write(run.state[3])
+        run.step(0, *a_pair(16, 16))
+        run.check(f"after {count} steps")
+
+
+@pytest.mark.slow
+def test_sums_over_a_million_pixels_keep_their_digits(device):
+    """All of one sign, the worst for sums that lose what is small beside them."""
+    run, rng = Run(device, pull=0.0), np.random.default_rng(1)
+    image, grad = cases.single(rng.uniform(0.1, 1, (2, 3, 1000, 1009)))
+    run.step(0, image, grad)
+    sums = reference.apply_adjoint(run.state[0][0], image, grad)[1]
+    close(10 * run.exposures.download()["m"][0], sums.ravel(), precision_of(device), "sums")

@@ -1,8 +1,11 @@
 """The whole chain of rendering: gaussians to image and back."""
 
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from clsplat.constants import SH_C0
 from clsplat.errors import ShapeError
@@ -136,3 +139,21 @@ def test_the_same_bytes_every_time_and_for_every_group_size(device, monkeypatch)
     for group in (32, 64):
         monkeypatch.setattr(device, "group_size", group)
         assert_same(first, rendered_bytes(device, case))
+
+
+@pytest.mark.slow
+def test_the_gradient_by_the_pose_agrees_with_differences(double_device):
+    case = cases.gaussians("plain")
+    renderer, rows, frame = render(double_device, case, smooth_cutoff=True)
+    weights, camera = cotangents(case)[0], camera_of(case)
+    actual = renderer.adjoint(rows, frame, double_device.upload(weights), with_pose=True).by_pose()
+
+    def loss(change):
+        rotation = Rotation.from_rotvec(change[:3]).as_matrix() @ camera.rotation
+        moved = replace(camera, rotation=rotation,
+                        translation=-rotation @ (camera.position + change[3:]))
+        image = renderer.render(rows, renderer.pack(moved), *frame.size, case["degree"]).image
+        return (image.download() * weights).sum()
+
+    expected = [(loss(step) - loss(-step)) / 2e-5 for step in 1e-5 * np.eye(6)]
+    assert actual == pytest.approx(expected, rel=1e-5)

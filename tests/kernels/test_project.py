@@ -168,3 +168,35 @@ def test_a_gaussian_that_cannot_be_drawn_has_no_tiles(device):
     order = stable_sort(device, keys, counts)[1]
     pairs = bin_splats(device, splats, counts, order, *size_of(case))
     assert not pairs.splat_counts.download()[[3, 5, 7]].any() and pairs.count > 20
+
+
+def test_slots_past_the_visible_gaussians_are_not_touched(device):
+    """A room for more than there are: the same splats and gradients, and nothing behind them."""
+    case = cases.gaussians("degree_1", count=60)
+    exact = Projected(device, case)
+    number, room = len(exact.visible), len(exact.visible) + 13
+    defines = (("SH_REST", 3), ("ANTIALIASED", 0))
+    rows = upload_rows(device, case["rows"])
+    camera = pack_camera(device, camera_of(case), case["near"])
+    counts = new_counts(device, number)
+    seen = device.upload(np.resize(exact.visible, room).astype(np.uint32))
+    splats, keys = project(device, rows, seen, counts, camera, case["degree"], defines)
+    assert np.array_equal(splats.download()[:number], exact.splats)
+    assert np.array_equal(keys.download()[:number], exact.keys)
+    sums = one_pair_each(device, np.resize(exact.sums, (room, exact.sums.shape[1])))
+    skipped, empty, made = device.zeros(1, np.uint32), device.empty, []
+
+    def noted(shape, dtype=None):
+        made.append(empty(shape, dtype))
+        made[-1].fill(77)
+        return made[-1]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(device, "empty", noted)
+        gradients = project_adjoint(
+            device, rows, seen, counts, camera, case["degree"], defines, sums, skipped)
+    assert len(made) == 8 and all((array.download()[number:] == 77).all() for array in made)
+    assert np.array_equal(gradients.rows.download()[:number], exact.active)
+    assert np.array_equal(gradients.means.download()[:number], exact.grad_means)
+    for name, values in gradients.fields.items():
+        assert np.array_equal(values.download()[:number],
+                              exact.gradients[name][exact.visible].astype(device.real)), name

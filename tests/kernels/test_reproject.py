@@ -9,7 +9,12 @@ from tests import cases
 from tests.checks import close
 from tests.data.view_pairs import view_pair
 from tests.kernels.chain import (
+    camera_of,
+    gradients_by_row,
     precision_of,
+    render,
+    small_scene,
+    upload_rows,
 )
 from tests.reference import reproject as reference
 
@@ -134,3 +139,61 @@ def test_poison_stays_with_its_pixel(device, name):
             actual, expected_grad = grad * sums[1], expected * before[0][1]
             actual[4, 7] = expected_grad[4, 7] = 0
             close(actual, expected_grad, precision_of(device), f"{name} = {label}")
+
+
+@pytest.mark.parametrize("name, index", [("colour", (1, 2)), ("colour", (0, 3)), ("geometry", 0),
+                                         ("geometry", 8), ("geometry", 11)])
+def test_poison_in_what_all_pixels_share_is_never_nan(device, name, index):
+    values = an_input((17, 9), seed=7)
+    values["geometry"] = pack_pairs(device, [map(camera, values["cameras"])]).download()[0]
+    for label, poison in cases.POISON.items():
+        changed = cases.poisoned(values, name, index, poison)
+        results = run(device, changed, geometry=changed["geometry"])
+        assert np.isfinite(results[1:]).all(), f"{name}[{index}] = {label}"
+        assert not np.isnan(results[0]).any(), f"{name}[{index}] = {label}"
+        with np.errstate(over="ignore"):
+            overflows = not np.isfinite(device.real.type(poison)**2)
+        assert not (overflows and name == "colour" and results[0].any())
+
+
+@pytest.mark.slow
+def test_through_the_renderer_to_the_gaussians(double_device):
+    """The loss of a render by differences, against the chain of adjoints. The neighbour is a ramp,
+    of which bilinear samples have no kinks."""
+    device = double_device
+    case = small_scene(3, count=40, width=30, height=20)
+    case["rows"]["log_scales"] += 0.5
+    line, column = np.mgrid[:30, :45]
+    ramp = np.stack([2 * column + 3 * line, 5 * column, 200 - 4 * line]).astype(np.uint8)
+    photo = np.random.default_rng(3).integers(0, 256, (3, 20, 30), np.uint8)
+    first = camera_of(case)
+    other = Camera(45, 30, (40.0, 44.0), (22.0, 15.5), first.rotation,
+                   first.translation + [0.3, -0.1, 0.4])
+    shared = (device.upload(photo), device.upload(ramp), pack_pairs(device, [(first, other)]),
+              device.upload(np.reshape(COLOUR, (1, 12))), 0, WEIGHT)
+    renderer, rows, frame = render(device, case, with_depth=True, smooth_cutoff=True)
+    assert frame.blended.transmittance.download().min() > 2e-4  # none ends early: that is a step
+    sums, *grads = reproject(device, frame.blended.depth, frame.blended.transmittance, *shared)
+    count = sums.download()[1]
+    assert count > 100
+    gradients = gradients_by_row(
+        renderer.adjoint(rows, frame, device.zeros(frame.image.shape), *grads), case)
+    rng = np.random.default_rng(4)
+    direction = {name: rng.normal(size=v.shape) * (np.abs(v) + 0.1)
+                 for name, v in case["rows"].items()}
+
+    def loss(distance):
+        moved = upload_rows(device, {
+            name: v + distance * direction[name] for name, v in case["rows"].items()})
+        drawn = renderer.render(moved, frame.camera, *frame.size, case["degree"], True).blended
+        squares, valid = reproject(device, drawn.depth, drawn.transmittance, *shared)[0].download()
+        assert valid == count
+        return WEIGHT * squares / valid
+
+    step = 1e-6
+    near, far = (loss(k * step) - loss(-k * step) for k in (1, 2))
+    by_difference = (8 * near - far) / (12 * step)
+    terms = np.concatenate([(gradients[name] * direction[name]).ravel() for name in direction])
+    size = max(abs(by_difference), np.sqrt(np.sum(terms**2)))
+    assert abs(by_difference - terms.sum()) < 1e-6 * size, (by_difference, terms.sum())
+    assert size > 1e-3

@@ -96,3 +96,11 @@ def test_a_frame_that_failed_adds_nothing(device):
     views.see(2, room=Room(5, 5000), counts=counts)
     assert counts.download()[COUNT_FAILED]
     views.check()
+
+
+def test_slots_past_the_visible_gaussians_do_not_count(device):
+    """There is room for more than a view sees."""
+    views = Views(device, 60)
+    number = len(views.see(1).rows)
+    assert len(views.see(2, room=Room(number + 30, 5000)).rows) == number + 30
+    views.check()

@@ -6,7 +6,7 @@ import pytest
 from tests import cases
 from tests.checks import adjoint_agrees
 from tests.reference.blend import blend, blend_adjoint, fragile_pixels
-from tests.reference.project import project
+from tests.reference.project import project, project_adjoint
 
 BACKGROUND = np.array([0.3, 0.6, 0.1])
 
@@ -40,6 +40,43 @@ def test_adjoint_agrees_with_differences(size, with_depth, seed):
     adjoint_agrees(function, adjoint, splats, seed, what=f"blend {size}")
 
 
+def test_adjoint_over_a_background_of_each_pixel():
+    size = 7, 5
+    splats, order = cases.splats(12, *size, seed=5, opacity=(0.05, 0.8))
+    background = cases.images(*size)[0]
+    adjoint_agrees(lambda point: {"image": blend(point, order, *size, background, smooth=True)[0]},
+                   lambda point, grads: blend_adjoint(point, order, *size, background,
+                                                      grads["image"], smooth=True), splats)
+    flat = np.broadcast_to(BACKGROUND[:, None, None], (3, 5, 7))
+    assert np.array_equal(blend(splats, order, *size, flat)[0],
+                          blend(splats, order, *size, BACKGROUND)[0])
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("name", ["plain", "ragged", "one_tile", "less_than_a_tile"])
+def test_chain_of_project_and_blend_agrees_with_differences(name, antialiased):
+    case = cases.gaussians(name, seed=2, count=14)
+    camera, size = case["camera"], (case["camera"]["width"], case["camera"]["height"])
+    arguments = camera, case["degree"], case["near"]
+    first = project(case["rows"], *arguments, antialiased=antialiased)
+    order = np.argsort(first["depths"], kind="stable")
+    order = order[first["visible"][order]]
+
+    def function(rows):
+        splats = project(rows, *arguments, antialiased=antialiased)
+        image, transmittance, depth = blend(splats, order, *size, BACKGROUND, True, True)
+        assert transmittance.min() > 2e-4
+        return {"image": image, "depth": depth, "transmittance": transmittance}
+
+    def adjoint(rows, grads):
+        splats = project(rows, *arguments, antialiased=antialiased)
+        by_splat = blend_adjoint(splats, order, *size, BACKGROUND, grads["image"], grads["depth"],
+                                 grads["transmittance"], smooth=True)
+        return project_adjoint(rows, *arguments, antialiased=antialiased, grads=by_splat)
+
+    adjoint_agrees(function, adjoint, case["rows"], what=f"chain {name}")
+
+
 def test_hard_cutoff_and_early_stop_have_the_adjoint_of_what_is_drawn():
     """Away from the thresholds, hard comparisons are constant and differences still hold."""
     case = cases.gaussians("stack")
@@ -55,6 +92,26 @@ def test_hard_cutoff_and_early_stop_have_the_adjoint_of_what_is_drawn():
         lambda p: {"image": blend(p, order, *size, BACKGROUND)[0] * sure},
         lambda p, grads: blend_adjoint(p, order, *size, BACKGROUND, grads["image"] * sure),
         point, what="hard blend")
+
+
+def test_two_splats_by_hand():
+    splats, order = on_one_pixel([0.5, 0.8], [[1, 0, 0], [0, 1, 0]], depths=[2, 5])
+    image, transmittance, depth = blend(splats, order, 1, 1, BACKGROUND, with_depth=True)
+    np.testing.assert_allclose(image[:, 0, 0], [0.5 + 0.03, 0.4 + 0.06, 0.01])
+    np.testing.assert_allclose(transmittance, [[0.1]])
+    np.testing.assert_allclose(depth, [[0.5 * 2 + 0.4 * 5]])
+    assert not blend(splats, order, 1, 1, BACKGROUND)[2].any()
+    swapped = blend(splats, order[::-1], 1, 1, BACKGROUND)[0]
+    np.testing.assert_allclose(swapped[:, 0, 0], [0.1 + 0.03, 0.8 + 0.06, 0.01])
+
+
+def test_falloff_by_hand():
+    """Pixel (row 1, column 2) has its centre at x 2.5, y 1.5."""
+    splats, order = on_one_pixel([0.9], [[1, 1, 1]])
+    splats["means"], splats["conics"] = np.array([[2.0, 0.5]]), np.array([[0.2, 0.1, 0.4]])
+    image = blend(splats, order, 3, 2, np.zeros(3))[0]
+    q = 0.2 * 0.25 + 2 * 0.1 * 0.5 * 1 + 0.4 * 1
+    np.testing.assert_allclose(image[:, 1, 2], 0.9 * np.exp(-q / 2))
 
 
 def test_alpha_is_clamped_and_the_clamp_blocks_the_gradient():
@@ -79,8 +136,34 @@ def test_pixel_stops_before_the_splat_that_would_pass_the_limit():
     np.testing.assert_allclose(grads["opacities"][1], 0.01)
 
 
+def test_faint_splats_are_skipped():
+    splats, order = on_one_pixel([0.99 / 255, 1.01 / 255], [[1, 0, 0], [0, 1, 0]])
+    image = blend(splats, order, 1, 1, np.zeros(3))[0]
+    np.testing.assert_allclose(image[:, 0, 0], [0, 1.01 / 255, 0])
+    assert blend(splats, order, 1, 1, np.zeros(3), smooth=True)[0][1] < 1e-3 / 255
+
+
+def test_smooth_equals_hard_well_above_the_cutoff():
+    splats, order = on_one_pixel([2.01 / 255, 0.5, 0.9], np.eye(3))
+    hard, smooth = (blend(splats, order, 1, 1, BACKGROUND, smooth)[0] for smooth in (False, True))
+    np.testing.assert_array_equal(hard, smooth)
+
+
+def test_weights_and_transmittance_sum_to_one():
+    splats, order = cases.splats(40, 33, 17, opacity=(0.5, 1.0))
+    splats["colours"][:] = 1
+    np.testing.assert_allclose(blend(splats, order, 33, 17, np.ones(3))[0], 1, rtol=1e-12)
+
+
 def test_fragile_pixels_are_those_at_a_threshold():
     splats, order = on_one_pixel([1.00005 / 255], [[1, 1, 1]])
     assert fragile_pixels(splats, order, 1, 1).all()
     splats["opacities"][:] = 0.5
     assert not fragile_pixels(splats, order, 1, 1).any()
+
+
+def test_no_splats_leave_the_background():
+    splats, order = cases.splats(0, 7, 5)
+    image, transmittance, depth = blend(splats, order, 7, 5, BACKGROUND, with_depth=True)
+    assert (image == BACKGROUND[:, None, None]).all() and (transmittance == 1).all()
+    assert not depth.any()

@@ -9,6 +9,9 @@ from tests.reference.exposure import (
     apply,
     apply_adjoint,
     between,
+    gain,
+    lens_penalty,
+    lens_step,
     penalty,
     step,
 )
@@ -36,6 +39,28 @@ def test_adjoint_agrees_with_differences(size):
         what=f"{size}")
 
 
+def test_gain_is_one_on_the_axis_and_the_sum_of_its_terms_in_the_corner():
+    assert gain(LENS, np.zeros((1, 1))) == 1
+    assert gain(LENS, np.ones((1, 1))) == pytest.approx(0.75)
+
+
+def test_a_lens_steps_as_a_transform_does_and_keeps_its_scale():
+    lenses, zero = np.stack([LENS, 2 * LENS]), np.zeros((2, 3))
+    moved, first, _, counts = lens_step(lenses, zero, zero, np.zeros(2, int), 1,
+                                        np.array([1.0, -2, 3]), 0.01, 0)
+    np.testing.assert_allclose(moved[1] - lenses[1], [-0.01, 0.01, -0.01, 0])
+    np.testing.assert_array_equal(moved[0], lenses[0])
+    np.testing.assert_allclose(first[1], [0.1, -0.2, 0.3])
+    assert counts.tolist() == [0, 1]
+
+
+def test_lens_penalty_agrees_with_differences():
+    adjoint_agrees(lambda point: {"penalty": np.array(lens_penalty(point["lens"], 0.3)[0])},
+                   lambda point, grads: {"lens": np.append(
+                       lens_penalty(point["lens"], 0.3)[1] * grads["penalty"], 0)},
+                   {"lens": LENS}, what="penalty")
+
+
 def test_penalty_agrees_with_differences():
     adjoint_agrees(lambda point: {"penalty": np.array(penalty(point["transform"], 0.3)[0])},
                    lambda point, grads: {
@@ -43,6 +68,16 @@ def test_penalty_agrees_with_differences():
                    {"transform": a_transform(1)}, what="penalty")
     assert penalty(np.eye(3, 4), 1)[0] == 0
     assert penalty(np.eye(3, 4) + 0.5, 2)[0] == pytest.approx(0.5)
+
+
+def test_identity_changes_nothing_and_entries_stand_row_by_row():
+    image = cases.images(7, 5)[0]
+    np.testing.assert_allclose(apply(np.eye(3, 4), image), image, atol=1e-14)
+    transform = np.zeros((3, 4))
+    transform[1, 2], transform[1, 3] = 2, 0.25  # green is made of blue
+    result = apply(transform, image)
+    np.testing.assert_allclose(result[1], 2 * image[2] + 0.25)
+    assert not result[[0, 2]].any()
 
 
 def test_a_step_goes_against_the_gradient_of_its_own_view():
@@ -57,6 +92,15 @@ def test_a_step_goes_against_the_gradient_of_its_own_view():
     grad[2, 3] = np.nan
     again = step(moved, first, second, counts, 1, grad, 0.01, 0)
     assert all(a is b for a, b in zip(again, (moved, first, second, counts)))
+
+
+def test_the_pull_alone_leads_towards_the_identity():
+    state = a_transform(3)[None], np.zeros((1, 3, 4)), np.zeros((1, 3, 4)), np.zeros(1, int)
+    values = []
+    for _ in range(50):
+        values.append(penalty(state[0][0], 0.01)[0])
+        state = step(*state, 0, np.zeros((3, 4)), 1e-3, 0.01)
+    assert (np.diff(values) < 0).all() and values[-1] < 0.8 * values[0]
 
 
 def test_between_takes_one_views_colours_to_anothers():

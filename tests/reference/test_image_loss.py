@@ -7,7 +7,11 @@ from skimage.metrics import structural_similarity
 from tests import cases
 from tests.checks import adjoint_agrees, close
 from tests.reference.adam import adam
-from tests.reference.image_loss import image_loss, mean_ssim
+from tests.reference.compact import compact
+from tests.reference.gather import gather
+from tests.reference.image_loss import image_loss, mean_ssim, window
+from tests.reference.sort import sort_order
+from tests.reference.statistics import accumulate
 
 
 @pytest.mark.parametrize("size", cases.IMAGE_SIZES)
@@ -57,6 +61,38 @@ def test_ssim_is_skimages_away_from_the_border():
     np.testing.assert_allclose(mean_ssim(x, y)[0], theirs.mean(), rtol=1e-7)
 
 
+def test_window_sums_to_one_inside_and_loses_what_is_outside():
+    under = window(np.ones((1, 21, 30)))[0]
+    np.testing.assert_allclose(under[5:-5, 5:-5], 1)
+    assert under[0, 0] == pytest.approx((0.5 + under[10, 0] - 0.5)**2) and under[10, 0] < 0.64
+    impulse = np.zeros((1, 11, 11))
+    impulse[0, 5, 5] = 1
+    response = window(impulse)[0]
+    np.testing.assert_allclose(response, response.T)
+    assert response[5, 6] / response[5, 5] == pytest.approx(np.exp(-1 / 4.5))
+    assert (response > 0).all()
+
+
+def test_loss_of_equal_images_is_zero_and_parts_add_up():
+    x, y = cases.images(30, 20)
+    loss, grad, l1, ssim = image_loss(x, x, 0.2)
+    assert loss == pytest.approx(0, abs=1e-14) and l1 == 0 and ssim == pytest.approx(1)
+    np.testing.assert_allclose(grad, 0, atol=1e-14)
+    loss, _, l1, ssim = image_loss(x, y, 0.2)
+    assert l1 == pytest.approx(np.abs(x - y).mean())
+    assert loss == pytest.approx(0.8 * l1 + 0.2 * (1 - ssim))
+
+
+def test_first_adam_step_is_the_rate_and_other_rows_stay():
+    rng = np.random.default_rng(0)
+    value, grad = rng.normal(size=(2, 6, 3))
+    zero = np.zeros((6, 3))
+    moved, first, second = adam(value, grad, zero, zero, 1, 0.01, rows=np.array([1, 4]))
+    np.testing.assert_allclose((value - moved)[[1, 4]], 0.01 * np.sign(grad[[1, 4]]))
+    for changed, before in ((moved, value), (first, zero), (second, zero)):
+        np.testing.assert_array_equal(changed[[0, 2, 3, 5]], before[[0, 2, 3, 5]])
+
+
 def test_adam_by_hand_over_two_steps():
     value, first, second = np.ones(1), np.zeros(1), np.zeros(1)
     for step, grad in ((1, 2.0), (2, -1.0)):
@@ -66,6 +102,26 @@ def test_adam_by_hand_over_two_steps():
     np.testing.assert_allclose(value, 1 - 0.1 - 0.1 * mean / np.sqrt(square))
     still, _, _ = adam(np.ones(1), np.zeros(1), np.zeros(1), np.zeros(1), 1, 0.1)
     assert still == 1
+
+
+def test_statistics_count_visible_rows_in_ndc_units():
+    sums, counts = accumulate(np.array([1.0, 1, 1]), np.array([0, 5, 2]),
+                              np.array([[3.0, 0], [0, 2], [7, 7]]),
+                              np.array([True, True, False]), 10, 6)
+    np.testing.assert_allclose(sums, [16, 7, 1])
+    np.testing.assert_array_equal(counts, [1, 6, 2])
+
+
+def test_compact_sort_and_gather():
+    kept, failed = compact(np.array([0, 1, 1, 0, 1]), 3)
+    assert kept.tolist() == [1, 2, 4] and not failed
+    kept, failed = compact(np.array([0, 1, 1, 0, 1]), 2)
+    assert kept.tolist() == [] and failed
+    assert not compact(np.zeros(0), 0)[1]
+    assert sort_order(np.array([2, 1, 2, 0, 1])).tolist() == [3, 1, 4, 0, 2]
+    rows = np.arange(6).reshape(3, 2)
+    np.testing.assert_array_equal(gather(rows, [2, 0, 2]), [[4, 5], [0, 1], [4, 5]])
+    assert gather(rows, []).shape == (0, 2)
 
 
 def test_close_names_the_worst_element():

@@ -33,6 +33,12 @@ def test_the_numbers_are_normal_and_independent(now, seed):
     assert abs((numbers[1:] * numbers[:-1]).mean(axis=0)).max() < 0.01
 
 
+def test_the_gate_opens_at_the_opacity_of_dead_gaussians():
+    logit = np.log(0.005 / 0.995)
+    assert gate(np.array(logit)) == pytest.approx(0.5)
+    assert gate(np.array([-30.0, logit + 3.2])) == pytest.approx([0.6225, 2.82e-5], rel=0.01)
+
+
 def test_steps_lie_along_the_gaussian():
     """With the covariance of its covariance: Sigma Sigma^T, for a needle turned by 90 degrees."""
     count = 100_000

@@ -53,3 +53,10 @@ def test_the_exponential_is_a_rotation_and_has_its_derivative():
     assert np.allclose(matrix, Rotation.from_rotvec(turn).as_matrix(), atol=1e-14)
     moved = reference.exponential(turn + small)[0] @ matrix.T
     assert np.allclose(Rotation.from_matrix(moved).as_rotvec(), jacobian @ small, atol=1e-11)
+
+
+def test_a_shift_moves_the_centre_along_the_cameras_axes():
+    camera = cases.camera(40, 30)
+    moved = reference.apply(camera, np.array([0, 0, 0, 0, 0, 0.5]), 2.0)
+    assert np.array_equal(moved["rotation"], camera["rotation"])
+    assert np.allclose(moved["translation"], camera["translation"] - [0, 0, 1])

@@ -37,6 +37,16 @@ def test_adjoint_agrees_with_differences(name, antialiased):
         adjoint_agrees(function, adjoint, case["rows"], seed, step=1e-4, what=f"project {name}")
 
 
+@pytest.mark.parametrize("output", OUTPUTS)
+def test_each_output_has_its_adjoint(output):
+    case = cases.gaussians("ragged", seed=1)
+    arguments = case["camera"], case["degree"], case["near"]
+    adjoint_agrees(
+        lambda rows: {output: project(rows, *arguments, antialiased=True)[output]},
+        lambda rows, grads: project_adjoint(rows, *arguments, antialiased=True, grads=grads),
+        case["rows"], step=1e-4, what=output)
+
+
 @pytest.mark.parametrize("ratio, clamped", [
     ((-0.5, 0.1), (-0.32, 0.1)), ((0.9, 0.1), (0.72, 0.1)), ((-0.31, 0.41), (-0.31, 0.41)),
     ((0.1, -1.5), (0.1, -1.14)), ((0.1, 0.6), (0.1, 0.42)), ((0.71, -1.13), (0.71, -1.13))])
@@ -53,6 +63,24 @@ def test_jacobian_is_clamped_beside_the_image(ratio, clamped):
     (a, b), (_, c) = np.linalg.inv(jacobian @ jacobian.T + 0.3 * np.eye(2))
     np.testing.assert_allclose(result["conics"], [[a, b, c]])
     np.testing.assert_allclose(result["means"], [[50 * ratio[0] + 10, 25 * ratio[1] + 24]])
+
+
+def test_splat_of_an_isotropic_gaussian_on_the_axis():
+    rows = {"positions": np.array([[0.0, 0, 4]]), "log_scales": np.log([[0.1, 0.1, 0.1]]),
+            "quaternions": np.array([[1.0, 2, 3, 4]]), "opacity_logits": np.zeros(1),
+            "sh_constant": np.array([[1.0, 0, -3]]), "sh_rest": np.zeros((1, 0, 3))}
+    camera = cases.camera(40, 30)
+    result = project(rows, camera, 0, 0.1)
+    variance = (35 * 0.1 / 4)**2 + 0.3
+    np.testing.assert_allclose(result["means"], [[20, 15]])
+    np.testing.assert_allclose(result["conics"], [[1 / variance, 0, 1 / variance]], atol=1e-15)
+    np.testing.assert_allclose(result["colours"], [[0.5 + 0.28209479177387814, 0.5, 0]])
+    np.testing.assert_allclose(result["opacities"], [0.5])
+    np.testing.assert_allclose(result["cutoffs"], [2 * np.log(127.5)])
+    np.testing.assert_allclose(result["extents"],
+                               np.sqrt(2 * np.log(127.5) * variance) * np.ones((1, 2)))
+    mip = project(rows, camera, 0, 0.1, antialiased=True)
+    np.testing.assert_allclose(mip["opacities"], [0.5 * (variance - 0.3) / variance])
 
 
 def test_conic_is_the_inverse_of_the_projected_covariance():
@@ -77,6 +105,17 @@ def _pixel(position, camera):
     return np.array([camera["fx"] * x / z + camera["cx"], camera["fy"] * y / z + camera["cy"]])
 
 
+def test_determinant_survives_needles():
+    """A needle across the view: across it there is the low-pass only, whatever its length. By the
+    difference of products, the determinant would lose every digit here."""
+    rows = cases.gaussians("one")["rows"]
+    rows["positions"] = np.array([[0.0, 0, 4]])
+    rows["log_scales"] = np.log([[1e5, 1e-5, 1e-5]])
+    rows["quaternions"] = np.array([[np.cos(0.3), 0, 0, np.sin(0.3)]])
+    conic = project(rows, cases.camera(16, 16), 0, 0.1)["conics"][0]
+    assert conic[0] + conic[2] == pytest.approx(1 / 0.3, rel=1e-8)
+
+
 def test_harmonics_are_the_orthonormal_ones():
     rng = np.random.default_rng(0)
     direction = rng.normal(size=(20, 3))
@@ -94,6 +133,17 @@ def test_harmonics_are_the_orthonormal_ones():
                                        atol=1e-12, err_msg=f"degree {degree}, order {order}")
 
 
+def test_what_is_not_visible_is_zero_and_gets_no_gradient():
+    case = cases.gaussians("near_plane")
+    result = splats(case)
+    assert result["visible"].tolist() == [True, True, False, False, False, False] * 4
+    grads = {key: np.ones_like(result[key]) for key in OUTPUTS}
+    rows_grads = project_adjoint(case["rows"], case["camera"], case["degree"], case["near"],
+                                 grads=grads)
+    for values in (*(result[key] for key in OUTPUTS), *rows_grads.values()):
+        assert not values[~result["visible"]].any() and values[result["visible"]].any()
+
+
 def test_quaternion_length_changes_nothing_but_zero_hides():
     case = cases.gaussians("quaternions")
     result = splats(case)
@@ -106,6 +156,32 @@ def test_quaternion_length_changes_nothing_but_zero_hides():
     np.testing.assert_allclose(again["conics"][shown], result["conics"][shown], rtol=1e-12)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["positions", "log_scales", "quaternions", "opacity_logits",
+                                  "sh_constant", "sh_rest"])
+def test_poison_stays_in_its_row(name, value):
+    case = cases.gaussians("plain")
+    index = (3,) + (0,) * (case["rows"][name].ndim - 1)
+    rows = cases.poisoned(case["rows"], name, index, value)
+    clean, result = splats(case), splats({**case, "rows": rows})
+    others = np.arange(30) != 3
+    for key in clean:
+        assert np.isfinite(result[key]).all()
+        np.testing.assert_array_equal(result[key][others], clean[key][others])
+
+
+@pytest.mark.parametrize("name", cases.SCENES)
+def test_every_case_is_finite_and_has_its_shapes(name):
+    case = cases.gaussians(name)
+    result = splats(case)
+    grads = project_adjoint(case["rows"], case["camera"], case["degree"], case["near"],
+                            grads={key: np.ones_like(result[key]) for key in OUTPUTS})
+    assert result["visible"].any() or name == "empty"
+    for key, values in case["rows"].items():
+        np.testing.assert_array_equal(values, np.float32(values))
+        assert grads[key].shape == values.shape and np.isfinite(grads[key]).all()
+
+
 def test_no_pixel_outside_the_extent_reaches_the_cutoff():
     """`tiles_of` and the kernels look inside the extent only."""
     result = splats(cases.gaussians("ragged"))
@@ -113,3 +189,10 @@ def test_no_pixel_outside_the_extent_reaches_the_cutoff():
         mean, conic, cutoff = (result[key][k] for key in ("means", "conics", "cutoffs"))
         exact = tiles_of(mean, conic, result["extents"][k], cutoff, 4, 3)
         assert exact == tiles_of(mean, conic, np.array([1e3, 1e3]), cutoff, 4, 3)
+
+
+def test_tiles_of_a_needle_follow_the_diagonal():
+    conic = np.array([1 / 0.3, -1 / 0.3, 1 / 0.3]) + [1e-4, 0, 1e-4]
+    tiles = tiles_of(np.array([32.0, 32.0]), conic, np.array([40.0, 40.0]), 9.0, 4, 4)
+    assert tiles == {(k, k) for k in range(4)} | {
+        pair for k in range(3) for pair in ((k, k + 1), (k + 1, k))}

@@ -42,6 +42,29 @@ def side_by_side(move):
     return camera, {**camera, "translation": np.array(move, float)}
 
 
+def test_a_ramp_by_hand():
+    """At depth 5 a move by 1 is one by 10 / 5 = 2 pixels, and -10 / 5^2 pixels a unit of depth."""
+    ramp = np.tile(0.01 * np.arange(9.0), (3, 3, 1))
+    transmittance = np.full((3, 9), 0.2)
+    squares, valid, by_depth, by_transmittance = reproject(
+        np.full((3, 9), 5 * 0.8), transmittance, ramp, ramp, side_by_side([1, 0, 0]), IDENTITY)
+    expected = np.zeros((3, 9), bool)
+    expected[:2, :6] = True  # the last line and, two further, the last column have no next texel
+    np.testing.assert_array_equal(valid, expected)
+    np.testing.assert_allclose(squares[valid], 3 * 0.02**2)
+    by_z = 3 * 2 * 0.02 * 0.01 * -0.4 / 12
+    np.testing.assert_allclose(by_depth, by_z / 0.8 * expected)
+    np.testing.assert_allclose(by_transmittance, by_z * 5 / 0.8 * expected)
+
+
+def test_colours_are_transformed_before_they_are_compared():
+    dark = np.full((3, 3, 9), 0.25)
+    colour = np.array([[2, 0, 0, 0.1], [0, 1, 0, 0], [1, 1, 1, 0]])
+    squares, valid, _, _ = reproject(
+        np.full((3, 9), 5.0), np.zeros((3, 9)), dark, dark, side_by_side([0, 0, 0]), colour)
+    np.testing.assert_allclose(squares[valid], 0.35**2 + 0.5**2)
+
+
 @pytest.mark.parametrize("depth, transmittance, move, valid", [
     (4.0, 0.0, 0, True), (4.0, 0.49, 0, True), (4.0, 0.5, 0, False), (4.0, 1.0, 0, False),
     (0.0, 0.0, 0, False), (-4.0, 0.0, 0, False), (np.nan, 0.0, 0, False), (np.inf, 0.0, 0, False),

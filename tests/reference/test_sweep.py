@@ -38,3 +38,13 @@ def test_the_depth_of_a_plane(slant):
     inner = np.s_[3:-3, 3:-3]
     assert np.mean(np.abs(depths / inverse - 1)[inner] < 0.01) > 0.95
     assert np.median(scores[inner]) > 0.99 and not np.delete(depths, np.s_[3:-3], axis=0).any()
+
+
+@pytest.mark.slow
+def test_gain_and_offset_of_a_photo_do_not_matter():
+    photos, _ = photos_of(0.2)
+    for number in range(len(photos)):
+        changed = photos.copy()
+        changed[number] = 0.6 * photos[number] + 0.2
+        for values, same in zip(found(changed)[:2], found(photos)):
+            assert np.mean(np.abs(values - same) < 1e-9) > 0.99  # where texture is not too weak

@@ -1,5 +1,6 @@
 """Training on the sample city: it learns, grows as promised, and records what it does."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -196,3 +197,26 @@ def test_progress_is_told(item_device, city, tmp_path):
     assert len(Progress.messages) == 1 and lines[0] == "scores of 4 held-out photos"
     assert lines[1].split() == ["step", "PSNR,", "dB", "SSIM", "gaussians", "training"]
     assert lines[2].split()[0] == "60" and "FLIP" in lines[2] and max(map(len, lines)) < 80
+
+
+@pytest.mark.slow
+def test_growth_helps(item_device, city, tmp_path):
+    """To fit the photos, where points are few: every fortieth of the city's."""
+    thin = replace(city, points=city.points[::40], colours=city.colours[::40],
+                   observations=None)
+    runs = [trained(tmp_path / name, thin, item_device, iterations=400, reset_every=0, **changes)
+            for name, changes in (("still", {"densify_from": 1000}),
+                                  ("grown", {"densify_from": 50, "densify_until": 200}))]
+    still, grown = (records(run, "step")[-1]["loss"] for run in runs)
+    assert grown < 0.85 * still, (still, grown)
+
+
+@pytest.mark.slow
+def test_opacities_are_reset(item_device, city, tmp_path):
+    """One step after the reset behind step 50 nothing is opaque; without a reset much is."""
+    opacities = []
+    for every in (50, 0):
+        run = trained(tmp_path / str(every), city, item_device, iterations=52, reset_every=every)
+        logits = read_ply(run.path / "point_cloud.ply").opacity_logits
+        opacities.append(1 / (1 + np.exp(-logits)))
+    assert opacities[0].max() < 0.02 and opacities[1].max() > 0.2

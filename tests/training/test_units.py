@@ -8,6 +8,8 @@ import pytest
 from clsplat.constants import COUNT_DONE, COUNT_FAILED, COUNT_NEEDED_PAIRS
 from clsplat.io.scenes.read import read_scene
 from clsplat.training import capacity, photos
+from clsplat.training import step as steps
+from clsplat.training.step import Step
 from clsplat.training.units import Unit, Units
 from tests.city.test_block import block_of, trained_block
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
@@ -148,3 +150,25 @@ def test_steps_that_are_pending_keep_few_photos(item_device, city, tmp_path, mon
     trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 60,
                                             "densify_from": 1000})
     assert len(alive) > 50 and max(alive) < 12
+
+
+@pytest.mark.slow
+def test_growth_decides_by_rows_that_have_caught_up(item_device, city, tmp_path, monkeypatch):
+    """Adam leaves rows behind that no view sees."""
+    current, behind = [], []
+    candidates, densify = steps.Candidates, Step.densify
+
+    def noted(*arguments):
+        current.append(models[-1].adam.is_current)
+        return candidates(*arguments)
+
+    def before(own, *arguments):
+        models.append(own._model)
+        behind.append(not own._model.adam.is_current)
+        return densify(own, *arguments)
+
+    models = []
+    monkeypatch.setattr(steps, "Candidates", noted)
+    monkeypatch.setattr(Step, "densify", before)
+    trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 35})
+    assert len(current) > 1 and all(current) and any(behind)

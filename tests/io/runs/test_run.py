@@ -182,3 +182,30 @@ def test_model_and_renders(run):
     assert path == run.path / "renders" / "test" / "left" / "0001.jpg.png"
     assert path.parent.is_dir()
     refused(lambda: run.renders.path("test", "../../../0001.jpg"), "0001.jpg")
+
+
+def test_every_flipped_byte_is_detected_or_harmless(run):
+    run.save_checkpoint(ARRAYS, STATE)
+    path = run.path / "checkpoint.npz"
+    data = path.read_bytes()
+    noticed = 0
+    for position in range(0, len(data), 3):
+        damaged = bytearray(data)
+        damaged[position] ^= 0x55
+        path.write_bytes(damaged)
+        try:
+            same(run.load_checkpoint())  # dates and attributes of the archive do not matter
+        except InputError as error:
+            noticed += 1
+            assert "checkpoint.npz" in str(error) and "\n" not in str(error)
+    assert noticed > len(data) / 3 * 0.6
+
+
+def test_no_pickle(run):
+    run.save_checkpoint(ARRAYS, STATE)
+    with pytest.raises(ValueError, match="[Oo]bject"):
+        run.save_checkpoint({"a": np.array([{}], object)}, STATE)
+    same(run.load_checkpoint())
+    assert not list(run.path.glob("*.part"))
+    np.savez(run.path / "checkpoint.npz", a=np.array([{}], object))
+    refused(run.load_checkpoint, "checkpoint.npz")
