@@ -46,7 +46,7 @@ def grid(columns=6, rows=4, seed=0):
     return centres, np.diag([1.0, -1.0, -1.0]) @ yaws.inv().as_matrix()
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.5, 2.0])
+@pytest.mark.parametrize("noise", [0.0, 2.0])
 @pytest.mark.parametrize("change", [
     lambda p: p[:, [1, 0, 2]], lambda p: p * (-1, 1, 1), lambda p: p * (1, -1, 1)])
 def test_mirrored_gps_of_a_flat_nadir_survey_is_refused(change, noise):

@@ -39,7 +39,7 @@ from clsplat.scene import Scene
 
 SUFFIX = ".opf"
 FORMAT = "application/opf-{}+json"
-VERSIONS = ("0", "1")  # before the first point: drafts of the format, and itself
+VERSION = "1"  # before the first point
 POINTS = "model/gltf+json"
 MATCHES = "OPF_mesh_primitive_matches"
 OFFSET_BITS = 40  # of the first of a point's matches
@@ -102,8 +102,8 @@ class _Project:
             return {}
         try:
             record = object_of(read_regular(paths[0]))
-            version = str(record.get("version", VERSIONS[-1]))
-            if version.partition(".")[0] not in VERSIONS:
+            version = str(record.get("version", VERSION))
+            if version.partition(".")[0] != VERSION:
                 raise ValueError(f"version {version[:20]} of OPF is not read")
             return record
         except (OSError, ValueError) as error:
@@ -115,10 +115,8 @@ def _objects(record: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
 
 
 def _number(record: Mapping[str, Any], key: str = "id") -> int:
-    """A unique id, which drafts of the format write as text in hexadecimal."""
+    """A unique id."""
     value = record.get(key)
-    if isinstance(value, str) and len(value) < 40:
-        return int(value, 0)
     if type(value) is not int:
         raise ValueError(f"{key} is not an id")
     return value

@@ -94,14 +94,13 @@ def test_what_is_refused(tmp_path, name, change, words):
 
 
 def test_other_ways_to_name_photos(tmp_path):
-    """Ids in hexadecimal, as drafts have them, and URIs with escapes."""
+    """URIs with escapes."""
     scene = made(tmp_path)
     write_opf(tmp_path, scene, LOCAL)
     (tmp_path / "images/photo_0.png").rename(tmp_path / "images/a b.png")
 
     def change(table):
         for camera in table["cameras"]:
-            camera["id"] = hex(camera["id"])
             camera["uri"] = camera["uri"].replace("photo_0", "a%20b")
     changed(tmp_path, "camera-list.json", change)
     read = read_scene(tmp_path)
@@ -109,8 +108,7 @@ def test_other_ways_to_name_photos(tmp_path):
 
 
 @pytest.mark.parametrize("version, is_read", [
-    ("1.0", True), ("0.9-draft4", True), ("1.7", True), (None, False), ("2.0", False),
-    ("x", False), (2, False), (1.0, True), ([], False)])
+    ("1.7", True), (1.0, True), ("0.9-draft4", False), (None, False), ("2.0", False), ([], False)])
 def test_other_versions_are_named(tmp_path, version, is_read):
     write_opf(tmp_path, made(tmp_path))
     path = tmp_path / "calibrated-cameras.json"
