@@ -13,7 +13,7 @@ import pytest
 from clsplat.cities import finish
 from clsplat.cities.city import City, train_coarse
 from clsplat.cities.cut import JOINT
-from clsplat.cities.finish import begin_with, joint_options, merged_city, train_jointly
+from clsplat.cities.finish import begin_with, joint_options, merged_city
 from clsplat.cities.merge import Merged
 from clsplat.cities.run import chosen_partition
 from clsplat.device import choose_device
@@ -133,13 +133,6 @@ def test_half_of_the_points_are_dense_ones(folder):
     assert folder.joint_start.read_bytes() == before
     begin_with(whole_of(folder, seed=1), model)
     assert folder.joint_start.read_bytes() != before
-
-
-def test_without_one_the_merged_model_stays(folder, merged):
-    folder.joint.mkdir()  # of an earlier partition
-    blocks = Merged(merged, (), {}, folder.path)
-    assert train_jointly(whole_of(folder), blocks) is blocks
-    assert not folder.joint.exists()
 
 
 def test_a_limit_of_gaussians_is_one_of_each_block(folder, merged):

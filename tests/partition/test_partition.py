@@ -12,7 +12,6 @@ from clsplat.errors import InputError
 from clsplat.partition.make import METHODS, make_partition
 from clsplat.partition.options import PartitionOptions
 from clsplat.partition.partition import Partition
-from clsplat.partition.region import Region, Space
 from tests.data.fields import cut, field, moved, world
 from tests.data.gaussians_at import gaussians_at
 
@@ -176,10 +175,3 @@ def damaged(change):
 def test_a_damaged_record_is_refused(change, cause):
     with pytest.raises(ValueError, match=cause):
         Partition.from_record(damaged(change))
-
-
-def test_blocks_of_different_spaces_are_refused():
-    left, _ = Region(Space(np.eye(3), np.zeros(3), np.ones(3))).cut(0, 0.0)
-    _, right = Region(Space(np.eye(3), np.ones(3), np.ones(3))).cut(0, 0.0)
-    with pytest.raises(ValueError, match="differ"):
-        Partition("citygs", (left, right), (np.arange(2),) * 2)
