@@ -8,20 +8,23 @@ from pathlib import Path
 from clsplat.cities.block import block_options
 from clsplat.cities.scene import BlockScene
 from clsplat.device import Device
-from clsplat.estimate.cost import pixels
-from clsplat.estimate.forecast import MIB, Planned
+from clsplat.estimate.cost import fitted, pixels
+from clsplat.estimate.forecast import MIB, Forecast, Planned
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import LEARNED
 from clsplat.io.runs.city import DENSE, CityFolder
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.options import ScheduledOptions
-from clsplat.partition.options import JOINT_STEPS, PartitionOptions
+from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, PartitionOptions
 from clsplat.rendering.options import RenderingOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
 from clsplat.training.start.prepare import scene_facts
 
+GIB = 2**30
+COARSE_COST = 0.25  # time of the coarse run, as a share of the time of one run of the whole
+PLY_BYTES = 248  # of a gaussian with all spherical harmonics
 LEAST_MEASURED = 3  # steps of the coarse run, for the three numbers that `cost.fitted` finds
 # of the device's memory for parameters and moments: frames take as much again, photos a quarter,
 # and growth holds a part of the model twice for a moment
@@ -50,6 +53,51 @@ def gaussians_that_fit(device: Device, options: RenderingOptions) -> int:
     floats = sum(field.width(options.sh_degree) for field in LEARNED)
     each = 3 * floats * device.real.itemsize
     return max(1, int(MODEL_SHARE * device.handle.global_mem_size / each))
+
+
+def scale_table(planned: Planned, forecast: Forecast, device: Device, photos: Iterable[int],
+                size: tuple[int, int] | None = None, workers: int = 1) -> Table:
+    """The cost of cities with more photos like those of a planned scene, a row for each number.
+
+    Everything grows with the number of photos, but a block is as large as the device allows, or
+    smaller where there are more devices. With the size of a photo grow the gaussians that it
+    shows, and what a step takes but for its fixed part.
+
+    Parameters
+    ----------
+    planned, forecast, device : of the scene, which is taken as typical.
+    photos : numbers of photos.
+    size : width and height of the photos; None: those of the scene.
+    workers : devices that train blocks at the same time.
+    """
+    views, options = planned.prepared.train_views, planned.prepared.options
+    area = sum(view.camera.width * view.camera.height for view in views) / len(views)
+    larger = 1.0 if size is None else size[0] * size[1] / area
+    fixed = fitted(forecast.measured)[0] * forecast.steps if size else 0.0
+    once = fixed + larger * (forecast.seconds - fixed)  # all steps of the scene
+    limit, shared = gaussians_that_fit(device, options), (1 + 2 * PartitionOptions().margin) ** 2
+    rows = []
+    for count in photos:
+        share = count / len(views)
+        gaussians = int(forecast.gaussians * share * larger)
+        whole = gaussians <= limit and workers == 1
+        times, visits = (1, 1) if whole else (shared, BLOCK_STEPS)  # blocks that train a gaussian
+        blocks = max(-(-int(gaussians * times) // limit), workers)
+        coarse = 0.0 if whole else COARSE_COST * once * share
+        trained = once * share * visits
+        elapsed = coarse + trained / blocks * -(-blocks // workers)
+        rows.append((f"{count:,}", f"{blocks:,}", f"{count * times / blocks:,.0f}",
+                     f"{options.iterations * share * visits / blocks:,.0f}", f"{gaussians:,}",
+                     f"{gaussians * PLY_BYTES / GIB:,.1f}",
+                     f"{3 * larger * area * count / GIB:,.1f}",
+                     f"{(trained + coarse) / 3600:,.2f}", f"{elapsed / 3600:,.2f}"))
+    head = ("photos", "blocks", "photos a block", "steps a block", "gaussians", "model, GiB",
+            "pixels, GiB", "device hours", f"hours on {workers}")
+    of_size = f" of {size[0]}x{size[1]}" if size else ""
+    return Table("At scale", head, rows, range(9), (
+        f"For photos like these{of_size}, on {device.name}, in as few blocks as fit it and at "
+        f"least one a device, which take {BLOCK_STEPS:g} times the steps of one run together. "
+        "The coarse run is on one device.",))
 
 
 def makespan(work: Iterable[float], workers: int) -> float:

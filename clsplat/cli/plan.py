@@ -12,8 +12,10 @@ from clsplat.cli.flags import (
     TrainingCommand,
     config_options,
     given_options,
+    size_type,
     training_flags,
 )
+from clsplat.errors import InputError
 from clsplat.schedule.plan import size_at
 
 if TYPE_CHECKING:
@@ -23,13 +25,21 @@ if TYPE_CHECKING:
 MIB = 2**20
 NAME_WIDTH = 12  # characters
 BUSY_LOAD = 0.5  # processes per core that run or wait
+MOST_PHOTOS, MOST_SIDE = 10**9, 10**6
 
 
 @click.command(cls=TrainingCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
+@click.option("--photos", default="", help="Also forecast cities with these numbers of photos "
+              "like those of SCENE, such as 1000,10000,100000.")
+@click.option("--photo-size", type=size_type(MOST_SIDE), help="With --photos: width and height of "
+              "those photos, such as 1152x864; default: as in SCENE.")
+@click.option("--workers", type=click.IntRange(1, MOST_PHOTOS), default=1, show_default=True,
+              help="With --photos: number of devices.")
 @training_flags
 @click.pass_context
-def plan(ctx: click.Context, /, scene: Path, **_options: object) -> None:
+def plan(ctx: click.Context, /, scene: Path, photos: str, photo_size: tuple[int, int] | None,
+         workers: int, **_options: object) -> None:
     """Forecast the decisions, memory and time of a training.
 
     Takes the options of `clsplat train`. Prints a line for each part of the training that can be
@@ -43,7 +53,7 @@ def plan(ctx: click.Context, /, scene: Path, **_options: object) -> None:
     from clsplat.options import resolve
     from clsplat.training.photos import size_note
     options = resolve(config_options(ctx), given_options(ctx))
-    busy, progress = load(), Progress()
+    counts, busy, progress = _numbers(photos), load(), Progress()
     with progress:
         progress.phase("reading the scene")
         data = read_scene(scene, options.images)
@@ -61,6 +71,21 @@ def plan(ctx: click.Context, /, scene: Path, **_options: object) -> None:
     _line("photos", forecast.streaming.reason)
     _line("memory", _memory(forecast, device))
     _line("time", _time(forecast, busy))
+    if counts:
+        from clsplat.cities.forecast import scale_table
+        table = scale_table(planned, forecast, device, counts, photo_size, workers)
+        click.echo(f"\n{table.text()}")
+
+
+def _numbers(text: str) -> list[int]:
+    try:
+        numbers = [int(word) for word in text.split(",")] if text else []
+        if min(numbers, default=1) < 1 or max(numbers, default=1) > MOST_PHOTOS:
+            raise ValueError
+    except ValueError:
+        raise InputError(f"--photos {text[:80]}: expects whole numbers from 1 to {MOST_PHOTOS:,}, "
+                         "such as 1000,10000,100000") from None
+    return numbers
 
 
 def load() -> tuple[float, int] | None:

@@ -165,7 +165,7 @@ class Part:
 
     def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View],
               gaussians: Gaussians | None) -> SceneFacts:
-        """Restrict what the schedule is given of the scene and its training `views` to what is
+        """Restrict the `facts` for the schedule, of a `scene` and its training `views`, to what is
         trained. `gaussians` are the initial ones; None: they are not known yet."""
         return facts
 
@@ -173,7 +173,7 @@ class Part:
         """Allocate what it needs; `session` has photos, and no gaussians yet."""
 
     def rows_changed(self, model: Model, growth: Growth | None) -> None:
-        """Follow a change of the rows of gaussians, after it. `growth` is the round that made them;
+        """Follow a change of the `model`, after it. `growth` is the round that made its rows;
         None: they are the initial ones, or have moved since."""
 
     def visits(self, views: Sequence[View]) -> NDArray[Any] | None:
@@ -203,8 +203,8 @@ class Part:
         return {}
 
     def read_ahead(self, plan: Plan, view: int, number: int) -> Sequence[int]:
-        """Views whose photos `inputs` will need besides the view itself; the arguments are as in
-        `Now` and `TrainingSample`."""
+        """Views whose photos `inputs` will need besides `view`; `plan` and `number` are as in `Now`
+        and `TrainingSample`."""
         return ()
 
     def camera(self, work: ViewPass, inputs: Inputs) -> None:

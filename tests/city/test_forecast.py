@@ -18,6 +18,7 @@ from clsplat.cities.forecast import (
     facts_of_whole,
     gaussians_that_fit,
     one_block_note,
+    scale_table,
 )
 from clsplat.cities.run import chosen_partition
 from clsplat.cli.main import main
@@ -122,3 +123,31 @@ def test_a_scene_that_fits_in_one_block_needs_no_city():
     assert note(block_gaussians=2 * 10**6) == "", "margins belong to several blocks"
     assert note(block_gaussians=4 * 10**6, least_blocks=2) == "", "two workers"
     assert note(block_gaussians=4 * 10**6, grid=(2, 2)) == ""
+
+
+def hours(table):
+    """The hours of all devices, and those until the end, in the first row of a `scale_table`."""
+    return [float(cell) for cell in table.rows[0][7:9]]
+
+
+def test_what_ten_times_the_photos_take():
+    device = SimpleNamespace(name="a card", real=np.dtype(np.float32),
+                             handle=SimpleNamespace(global_mem_size=2**30))
+    view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
+    options = resolve({}, {"iterations": 1000})
+    limit = gaussians_that_fit(device, options)
+    planned = SimpleNamespace(prepared=SimpleNamespace(train_views=[view] * 100, options=options))
+    forecast = SimpleNamespace(
+        gaussians=limit // 2, seconds=3600.0, steps=4000,
+        measured=[(5000, 100, 0.9), (5000, 200, 0.9), (20000, 100, 2.7)])
+    small, large = scale_table(planned, forecast, device, [200, 2000]).rows
+    assert small[:4] == ("200", "1", "200", "2,000") and small[7] == "2.00"
+    # twenty times the scene, each part of it in 1.6**2 blocks, which share twice the steps
+    assert large[1] in ("25", "26") and large[7] == f"{20 * 2.25:.2f}"
+    # photos of four times the pixels: four times the gaussians, and of the time but its fixed part
+    table = scale_table(planned, forecast, device, [200], (200, 100))
+    one = 2 * (1200 + 4 * 2400) / 3600
+    assert int(table.rows[0][4].replace(",", "")) == pytest.approx(4 * limit, abs=4)
+    assert hours(table)[0] == pytest.approx(2.25 * one, abs=0.006)
+    table = scale_table(planned, forecast, device, [200], None, 4)
+    assert table.rows[0][1] == "4" and hours(table) == pytest.approx([4.5, 0.5 + 1], abs=0.006)

@@ -13,7 +13,7 @@ from clsplat.evaluation.survey import spreads, survey_of
 from clsplat.georeference import Georeference, Residual
 from clsplat.report import survey as section_module
 from clsplat.report.run import write_report
-from clsplat.report.survey import area, facts_table, length, survey_figure, survey_html, warnings
+from clsplat.report.survey import area, facts_table, length, survey_figure, survey_html
 from clsplat.scene import Scene, View
 from tests.evaluation.test_pictures import pictures
 from tests.report.test_report import Balanced, bare_run, headings
@@ -97,9 +97,6 @@ SCENES = {
     "neither": (lambda: replace(flight(), georeference=None), None, ()),
     "older georeference": (flight, ("50 cm along the ground", "extends over 220 m"),
                            ("Warning", "Residuals:", "heights")),
-    "large residual, older": (lambda: replace(flight(), georeference=replace(
-        flight().georeference, residual=17.0)),
-        ("Warning: the residual of 17.00 m", "8 % of the size"), ()),
     "residuals": (lambda: measured(flight(), ROWS), (
         "Residuals: GPS of photos, which decided the place (1)",
         "Residuals: ground control points, which took no part (1)",
@@ -182,10 +179,3 @@ def test_a_survey_stands_between_pictures_and_scores(tmp_path, sketched):
     run.log({"event": "eval", "iteration": 9, "psnr": 21.0})
     html = write_report(run, pictures=pictures(), scene=flight()).read_text()
     assert headings(html)[:3] == ["Held-out views", "Survey", "Scores"]
-
-
-def test_a_warning_follows_from_the_size_of_the_flight():
-    small, large = (replace(flight(), georeference=replace(flight().georeference, residual=each))
-                    for each in (6.5, 6.7))  # of 220 m
-    assert warnings(survey_of(small)) == () and len(warnings(survey_of(large))) == 1
-    assert warnings(survey_of(measured(large, size=1000.0))) == ()
