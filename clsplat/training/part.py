@@ -229,7 +229,7 @@ class Part:
     # --- results
 
     def values(self, measured: list[Any]) -> dict[str, float]:
-        """Numbers for the record, from what `add_to` returned for each view of a step; waits."""
+        """Numbers for the record from `measured`, what `add_to` returned for each view; waits."""
         return {}
 
     def corrected(self, views: Sequence[View]) -> Sequence[View]:
