@@ -15,6 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, PAGES = ROOT / "tools" / "studies" / "results", ROOT / "docs" / "evidence"
 NOTEBOOK = "018822d"  # the commit whose docs/notebook/ the lines without a study were taken from
+STUDIES = "131fdb8"  # the last commit that has the studies which are named in INDEX
 NOTE = "Made by `python -m tools.evidence` from `tools/studies/results/{}`; do not edit."
 INDEX = f"""# Evidence
 
@@ -28,6 +29,9 @@ and not kept, are in the history: `git show {NOTEBOOK}:docs/notebook/results.md`
 `numerics` and `speed`. Photo sets are not part of the repository; `SET.npz` is a file of
 `clsplat pack` of these days. Commands of earlier commits may have flags that are keys of the file
 of `--config` today.
+
+The studies `precision`, `levels_of_detail` and `disagreeing` have answered their question and are
+no longer in the tree: `git show {STUDIES}:tools/studies/NAME.py`.
 """
 
 

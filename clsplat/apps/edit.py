@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.apps.support import seen_by
 from clsplat.device import Device
 from clsplat.edit.select import in_polygons, merged, selected
 from clsplat.edit.transform import transformed
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run, shown
-from clsplat.gaussians import Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.crs import conversion
 from clsplat.io.georeference.geojson import DEGREES, read_polygons
@@ -24,8 +23,13 @@ from clsplat.io.models.formats import is_model, read_with_notes
 from clsplat.io.models.values import MIP
 from clsplat.io.scenes.read import read_scene
 from clsplat.partition.region import map_axes
+from clsplat.rendering.contribution import contribution
+from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.slabs import gaussian_limit
+from clsplat.scene import View
 
 GEOJSON = (".geojson", ".json")
+SEEN = 0.1  # opaque pixels that a gaussian must contribute to a view that sees it
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,3 +193,36 @@ def _corners(text: str) -> NDArray[np.float64]:
         raise InputError(f"--polygon {text[:60]}: expects at least three corners such as "
                          "\"0,0 10,0 10,10\", or a GeoJSON file")
     return corners
+
+
+def seen_by(device: Device, gaussians: Gaussians, views: Sequence[View], near: float,
+            antialiased: bool = False, progress: Callable[[int, int], object] | None = None
+            ) -> NDArray[np.intp]:
+    """How many views see each gaussian, int[N].
+
+    What counts is its weight in the blended image, so gaussians behind others are not seen.
+    The cameras of the views and the gaussians share a frame; `progress` is called with the number
+    of views that are done, and of all.
+
+    Raises
+    ------
+    InputError : the model is larger than the device.
+    """
+    if gaussians.count > gaussian_limit(device, gaussians.sh_degree):
+        raise InputError(f"{gaussians.count:,} gaussians are more than {device.name} can render at "
+                         "a time to see which views support them; crop the model first, or use "
+                         "another --device")
+    renderer = Renderer(device, gaussians.sh_degree, near, antialiased)
+    rows = {field.name: device.upload(gaussians.rows[field.name]) for field in LEARNED}
+    count = np.zeros(gaussians.count, np.intp)
+    for number, view in enumerate(views, 1):
+        width, height = view.camera.width, view.camera.height
+        frame = renderer.render(rows, renderer.pack(view.camera), width, height,
+                                gaussians.sh_degree)
+        ones = device.upload(np.ones((height, width), device.real))
+        visible = frame.visible.download()
+        weight = contribution(device, frame, ones).download()[:len(visible), 1]
+        count[visible] += weight >= SEEN
+        if progress:
+            progress(number, len(views))
+    return count

@@ -8,9 +8,8 @@ from functools import partial
 from html import escape
 from typing import Any, NoReturn
 
-from clsplat.apps.frames import FrameRequest, FrameRequests
 from clsplat.apps.models import photos_of
-from clsplat.apps.server import ViewServer
+from clsplat.apps.server import FrameRequest, FrameRequests, ViewServer
 from clsplat.device import Device
 from clsplat.evaluation.run import Run, shown
 from clsplat.evaluation.streamed import Streaming, open_tree

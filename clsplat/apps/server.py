@@ -1,4 +1,6 @@
-"""The server of a live page. Only this machine reaches it, and only who knows its address.
+"""The server of a live page, and the frames that it asks of the thread which owns the device.
+
+Only this machine reaches it, and only who knows its address.
 
 It is bound to 127.0.0.1, and every path begins with a random token. A request must name this
 machine in its Host header, so that a page of another site whose name was made to point here
@@ -12,14 +14,16 @@ import os
 import secrets
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsplat.apps.frames import FrameRequest, FrameRequests
 from clsplat.camera import Camera, numbers
 from clsplat.errors import InputError
 from clsplat.io.photos.images import encode_jpeg
@@ -33,6 +37,8 @@ MOST_CONNECTIONS = 32  # at once, so that files are left for a training
 IDLE_SECONDS = 15  # without a byte of a request
 LONGEST_BODY = 4096  # bytes of a request
 LARGEST_SIDE, LARGEST_FRAME = 4096, 2560 * 1600  # pixels
+ENDED = "no frames are drawn any more"
+LEAST_COVER = 0.5  # of a pixel, for which its depth is known
 FURTHEST = 1e9  # beyond it, a number in a request is a mistake
 HEADERS = {
     "Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
@@ -41,6 +47,102 @@ HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; "
                                "style-src 'unsafe-inline'; img-src blob: data:; "
                                "connect-src 'self'; base-uri 'none'; form-action 'none'"}
+
+
+class FrameRequest:
+    """A frame that someone waits for.
+
+    Parameters
+    ----------
+    camera : of the frame, in the world of the page.
+    wants_depth : whether only the depth of what its pixels show is wanted.
+
+    Attributes
+    ----------
+    image : float32[H, W, 3], 0 to 1, once it is drawn.
+    depth : the mean over pixels, world units; None where they show nothing that is opaque.
+    problem : why it could not be drawn, or "".
+    """
+
+    def __init__(self, camera: Camera, wants_depth: bool = False) -> None:
+        self.camera, self.wants_depth = camera, wants_depth
+        self.image: NDArray[np.float32] | None = None
+        self.depth: float | None = None
+        self.problem = ""
+        self.is_abandoned = False
+        self._done = threading.Event()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until it is answered, at most so long; afterwards nobody draws it any more."""
+        self.is_abandoned = not self._done.wait(seconds)
+        return not self.is_abandoned
+
+    def answer(self, problem: str = "") -> None:
+        """Tell who waits that it is drawn, or why it is not."""
+        self.problem = problem
+        self._done.set()
+
+    def attempt(self, draw: Callable[[], object]) -> None:
+        """Call what draws this frame, whose failure is told to who waits and ends nothing else."""
+        try:
+            draw()
+        except Exception as error:  # noqa: BLE001  (memory, for example)
+            self.answer(f"this frame could not be drawn ({type(error).__name__}: {error})")
+
+    def draw(self, renderer: Any, rows: Any, degree: int, unit: float = 1.0) -> None:
+        """Draw it and answer.
+
+        Parameters
+        ----------
+        renderer, rows, degree : the model on the device; see `slabs.open_model`.
+        unit : of the model's world, in units of the page's.
+        """
+        camera = self.camera
+        packed = renderer.pack(replace(camera, translation=camera.translation / unit))
+        frame = renderer.render(rows, packed, camera.width, camera.height, degree,
+                                with_depth=self.wants_depth)
+        if self.wants_depth:
+            cover = 1 - float(frame.blended.transmittance.download().mean())
+            if cover > LEAST_COVER:
+                self.depth = unit * float(frame.blended.depth.download().mean()) / cover
+        else:
+            self.image = np.clip(frame.image.download().transpose(1, 2, 0), 0, 1)
+        self.answer()
+
+
+class FrameRequests:
+    """The requests that wait, the oldest first."""
+
+    def __init__(self) -> None:
+        self._waiting: SimpleQueue[FrameRequest] = SimpleQueue()
+        self._ended = False
+
+    def add(self, request: FrameRequest) -> None:
+        """Let a request wait for the thread that draws."""
+        self._waiting.put(request)
+        if self._ended:
+            self.end()
+
+    def end(self) -> None:
+        """From now on nobody draws: no request waits any more."""
+        self._ended = True
+        while request := self.next():
+            request.answer(ENDED)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether none waits; does not wait itself."""
+        return self._waiting.empty()
+
+    def next(self, patience: float = 0.0) -> FrameRequest | None:
+        """The next request, or None if none comes within so many seconds."""
+        while True:
+            try:
+                request = self._waiting.get(block=patience > 0, timeout=patience or None)
+            except Empty:
+                return None
+            if not request.is_abandoned:
+                return request
 
 
 class ViewServer:

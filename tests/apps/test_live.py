@@ -9,8 +9,8 @@ import pytest
 
 from clsplat.api.run import Run
 from clsplat.apps import live
-from clsplat.apps.frames import FrameRequest
 from clsplat.apps.live import TrainingView, live_page, show_run
+from clsplat.apps.server import FrameRequest
 from clsplat.evaluation.streamed import Streaming
 from clsplat.evaluation.views import render_view
 from clsplat.io.models.tree import TREE

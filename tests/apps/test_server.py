@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from clsplat.apps import server as server_module
-from clsplat.apps.frames import FrameRequest, FrameRequests
-from clsplat.apps.server import ViewServer, camera_of
+from clsplat.apps.server import FrameRequest, FrameRequests, ViewServer, camera_of
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.photos.images import read_image

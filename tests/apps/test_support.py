@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from clsplat.apps import support
-from clsplat.apps.support import seen_by
+from clsplat.apps import edit
+from clsplat.apps.edit import seen_by
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.scene import View
@@ -30,6 +30,6 @@ def test_what_stands_behind_a_wall_is_not_seen(float_device):
 
 
 def test_a_model_that_is_too_large(float_device, monkeypatch):
-    monkeypatch.setattr(support, "gaussian_limit", lambda *_: 2)
+    monkeypatch.setattr(edit, "gaussian_limit", lambda *_: 2)
     with pytest.raises(InputError, match="3 gaussians are more than .* crop the model first"):
         seen_by(float_device, cloud(3), views(), near=0.01)
