@@ -57,6 +57,7 @@ def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: fl
     import numpy as np
 
     from clsplat.apps.camera_path import (
+        auto,
         film_degrees,
         flight,
         interpolated,
@@ -72,7 +73,6 @@ def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: fl
         write_film,
         write_frames,
     )
-    from clsplat.apps.overflight import auto
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run

@@ -4,9 +4,8 @@
 import numpy as np
 import pytest
 
-from clsplat.apps.camera_path import interpolated
+from clsplat.apps.camera_path import auto, interpolated
 from clsplat.apps.models import in_original, supported
-from clsplat.apps.overflight import auto
 from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
 from clsplat.report.model_page import view_record
