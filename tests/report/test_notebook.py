@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clsplat.api.score import Score
 from clsplat.camera import Camera
-from clsplat.evaluation.score import Score
 from clsplat.io.photos.images import write_image
 from clsplat.report.notebook import scene_page, view_card
 from clsplat.scene import View

@@ -43,13 +43,10 @@ def test_one_command_makes_the_tables_and_repeats_nothing(tmp_path, monkeypatch,
     assert (tmp_path / "cities.md").read_text() == page
 
 
-@pytest.mark.parametrize("words, needs", [
-    (["--tables", "devices"], "--tables devices: needs --devices"),
-    (["--tables", "area", "one-run", "--no-compared"], "--tables one-run: needs a SCENE")])
-def test_a_table_needs_what_it_is_about(tmp_path, monkeypatch, words, needs):
+def test_a_table_needs_what_it_is_about(tmp_path, monkeypatch):
     monkeypatch.setattr(cities, "subprocess", None)  # nothing is started
-    with pytest.raises(InputError, match=needs):
-        cities.main([str(tmp_path), *words])
+    with pytest.raises(InputError, match="--tables one-run: needs a SCENE"):
+        cities.main([str(tmp_path), "--tables", "area", "one-run", "--no-compared"])
 
 
 @pytest.mark.parametrize("words", [["--seeds", "0"], ["--streets", "2", "0"]])

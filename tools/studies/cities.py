@@ -5,9 +5,8 @@
 Makes cities of --streets, at equal density of photos and points, and trains each in as many blocks
 as it has streets (table area). Then it trains each SCENE and a made city of 3x3 streets, as one run
 and as a city of 2x2 blocks, in turns (one-run), and with both methods and schedules (schedules).
-With --devices, a larger made city is trained on the first one and on all (devices). Commands that
-have finished are not repeated; one that was stopped begins anew, as its time counts. The machine
-should do nothing else:
+Commands that have finished are not repeated; one that was stopped begins anew, as its time counts.
+The machine should do nothing else:
 
     python -m tools.studies.cities out/cities ../shared/data/caliterra:2
 """
@@ -34,8 +33,6 @@ from tools.synth.__main__ import synthesise
 STEPS_A_STREET = 300  # of a made city, for each of its K x K streets; so many photos show it:
 PHOTOS_A_STREET = 8
 COMPARED = 3, 64, "320x240"  # the made city that is compared with one run: streets, photos, size
-DIVIDED = 6, 256, "640x480"  # the one that several devices train, with so many steps of one run:
-DIVIDED_STEPS = 6000
 MIB = 2**20
 
 
@@ -47,11 +44,10 @@ def main(argv):
         raise InputError("--seeds and --streets: expect numbers of at least 1")
     work = Work(arguments.out, tuple(flags))
     arguments.out.mkdir(parents=True, exist_ok=True)
-    possible = _possible(arguments)
+    possible = list(TABLES) if arguments.scenes or arguments.compared else ["area"]
     for name in arguments.tables or ():
         if name not in possible:
-            raise InputError(f"--tables {name}: needs "
-                             f"{'--devices' if name == 'devices' else 'a SCENE'}; add that")
+            raise InputError(f"--tables {name}: needs a SCENE; add that")
     tables = arguments.tables or possible
     scenes = [(scene.name, scene.path, scene.downscale) for scene in arguments.scenes]
     if arguments.compared and {"one-run", "schedules"} & set(tables):
@@ -81,21 +77,12 @@ def _parser():
                       help="streets along each side of the cities that grow; default 2 4 6")
     made.add_argument("--size", default="240x180", help="of their photos; default 240x180")
     made.add_argument("--seeds", type=int, default=3, help="of what is compared; default 3")
-    made.add_argument("--devices", default="", help="such as 0,1: compare them with the first")
     made.add_argument("--tables", nargs="+", choices=TABLES,
-                      help="those that are made; default: all for which scenes and devices are "
-                      "named")
+                      help="those that are made; default: all for which scenes are named")
     keeps(made)
     made.add_argument("--no-compared", dest="compared", action="store_false",
                       help="leave out the made city of 3x3 streets")
     return made
-
-
-def _possible(arguments):
-    """The names of the tables for which scenes and devices are named."""
-    named = {"devices": arguments.devices, "area": True}
-    return [name for name in TABLES
-            if named.get(name, arguments.scenes or arguments.compared)]
 
 
 class Work:
@@ -263,30 +250,7 @@ def schedule_table(work, scenes, arguments):
         rows, range(2, 7))
 
 
-def device_table(work, scenes, arguments):
-    """A city on one device and on several: a row for each number of workers on a device."""
-    streets, photos, size = DIVIDED
-    scene, devices = made_city(work, streets, photos, size), arguments.devices
-    count, first = len(devices.split(",")), devices.split(",")[0]
-    same, rows = ("city", scene, "-n", DIVIDED_STEPS, "--grid", "4x2"), []
-    for title, name, one_worker, workers in (
-            ("one", "alone", ("--workers", 1), ("--workers", count)),
-            ("as many as share it (`--workers auto`)", "shared", (), ())):
-        one_folder, one = work.train(f"device-{name}", *same, "--device", first, *one_worker)
-        folder, several = work.train(f"devices-{name}", *same, "--device", devices, *workers)
-        rows.append((title, cell(one, None, 1), cell(several, None, 1),
-                     cell(one / several, None, 2), *(
-                         cell(scores_of(each).get("psnr_cc"), None, 2)
-                         for each in (one_folder, folder))))
-    return Table("Several devices", (
-        "workers on a device", "one device, s", f"{count} devices, s", "times as fast",
-        "one, cc", f"{count}, cc"), rows, range(1, 6), (
-        f"A made city of {streets}x{streets} streets, {photos} photos of {size}, 4x2 blocks, "
-        f"`-n {DIVIDED_STEPS}`.",))
-
-
-TABLES = {"area": area_table, "one-run": one_run_table, "schedules": schedule_table,
-          "devices": device_table}
+TABLES = {"area": area_table, "one-run": one_run_table, "schedules": schedule_table}
 
 
 if __name__ == "__main__":
