@@ -18,8 +18,7 @@ from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.edit.select import selected
 from clsplat.errors import InputError
-from clsplat.evaluation.run import Run
-from clsplat.evaluation.streamed import Streaming, open_tree
+from clsplat.evaluation.run import Run, Streaming, open_tree
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder

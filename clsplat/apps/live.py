@@ -11,8 +11,7 @@ from typing import Any, NoReturn
 from clsplat.apps.models import photos_of
 from clsplat.apps.server import FrameRequest, FrameRequests, ViewServer
 from clsplat.device import Device
-from clsplat.evaluation.run import Run, shown
-from clsplat.evaluation.streamed import Streaming, open_tree
+from clsplat.evaluation.run import Run, Streaming, open_tree, shown
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.tree import Tree
 from clsplat.rendering.slabs import ModelRenderer, open_model

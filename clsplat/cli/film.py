@@ -75,8 +75,7 @@ def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: fl
     )
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
-    from clsplat.evaluation.run import Run
-    from clsplat.evaluation.streamed import streaming_of
+    from clsplat.evaluation.run import Run, streaming_of
     check_streaming(ctx, lod)
     as_film = output.suffix.lower() in SUFFIXES
     if not as_film and output.suffix:

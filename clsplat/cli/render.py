@@ -32,8 +32,7 @@ def render(ctx: click.Context, /, model: Path, scene: Path | None, output: Path,
     from functools import partial
 
     from clsplat.device import choose_device
-    from clsplat.evaluation.run import Run, scene_of_views, to_render
-    from clsplat.evaluation.streamed import open_tree, streaming_of
+    from clsplat.evaluation.run import Run, open_tree, scene_of_views, streaming_of, to_render
     from clsplat.evaluation.views import opened, render_view, render_views
     from clsplat.io.models.formats import is_model
     check_streaming(ctx, lod)

@@ -26,8 +26,7 @@ def view(ctx: click.Context, /, run: Path, port: int, lod: bool, lod_bias: float
     """
     from clsplat.apps.live import show_run
     from clsplat.device import choose_device
-    from clsplat.evaluation.run import Run
-    from clsplat.evaluation.streamed import streaming_of
+    from clsplat.evaluation.run import Run, streaming_of
     check_streaming(ctx, lod)
     opened = Run.open(run)
     streaming = streaming_of(opened, lod, lod_bias, host_memory)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +17,14 @@ from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.files import placed, read_georeference, read_orientation
 from clsplat.io.models.formats import is_model, read_with_notes
+from clsplat.io.models.tree import TREE, Tree
 from clsplat.io.photos.undistort import undistorted
 from clsplat.io.runs.learned import read_poses
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, recorded
 from clsplat.rendering.slabs import ModelRenderer
+from clsplat.rendering.tree import HOST_BYTES, TreeRenderer
 from clsplat.scene import Scene
 
 if TYPE_CHECKING:
@@ -226,3 +229,59 @@ class Run:
     def __repr__(self) -> str:
         state = "finished" if self.is_finished else "not finished"
         return f"<clsplat.Run {str(self.path)!r}, {state}>"
+
+
+@dataclass(frozen=True)
+class Streaming:
+    """How a tree is drawn.
+
+    Attributes
+    ----------
+    bias : levels are as coarse as if everything were this many times as far away; 0: the finest.
+    host_bytes : of host memory; see `TreeRenderer`.
+    """
+
+    bias: float = 1.0
+    host_bytes: float = HOST_BYTES
+
+
+def streaming_of(run: Run, lod: bool, bias: float, host_bytes: float) -> Streaming | None:
+    """How the tree of a run is drawn; None: its model is.
+
+    Parameters
+    ----------
+    run : the run.
+    lod : whether levels of detail are wanted. Otherwise a tree is drawn where there is no model, at
+        its finest level.
+    bias, host_bytes : as in Streaming.
+    """
+    if lod or _has_tree(run) and not run.folder.has_model:
+        return Streaming(bias if lod else 0.0, host_bytes)
+    return None
+
+
+def _has_tree(run: Run) -> bool:
+    return (run.path / TREE).is_file()
+
+
+def open_tree(run: Run, device: Device, near: float, streaming: Streaming
+              ) -> tuple[TreeRenderer, Tree]:
+    """The tree of a run, and what draws it.
+
+    Parameters
+    ----------
+    run : the run.
+    device : an open device.
+    near : depth of the near plane, units of the model.
+    streaming : how it is drawn.
+
+    Raises
+    ------
+    InputError : the run has no tree, or it is damaged.
+    """
+    if not _has_tree(run):
+        raise InputError(f"{run.path / TREE}: no such file; a city has levels of detail to be "
+                         "streamed after `clsplat merge CITY --tree`")
+    tree, options = Tree(run.path / TREE), run.options
+    return TreeRenderer(device, tree, near, options.antialiased, options.background,
+                        bias=streaming.bias, host_bytes=streaming.host_bytes), tree

@@ -11,7 +11,7 @@ from clsplat.api.run import Run
 from clsplat.apps import live
 from clsplat.apps.live import TrainingView, live_page, show_run
 from clsplat.apps.server import FrameRequest
-from clsplat.evaluation.streamed import Streaming
+from clsplat.evaluation.run import Streaming
 from clsplat.evaluation.views import render_view
 from clsplat.io.models.tree import TREE
 from clsplat.io.photos.images import read_image
