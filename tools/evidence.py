@@ -30,7 +30,7 @@ and not kept, are in the history: `git show {NOTEBOOK}:docs/notebook/results.md`
 `clsplat pack` of these days. Commands of earlier commits may have flags that are keys of the file
 of `--config` today.
 
-The studies `precision`, `levels_of_detail` and `disagreeing` have answered their question and are
+The studies `levels_of_detail` and `disagreeing` have answered their question and are
 no longer in the tree: `git show {STUDIES}:tools/studies/NAME.py`.
 """
 
