@@ -36,7 +36,7 @@ from clsplat.io.records import write_object
 TILE_GAUSSIANS = 20_000  # of a tile at most: 5 MB with harmonics of degree 3
 REACH = 3.0  # standard deviations of a gaussian that count for the box around it
 # a viewer refines a tile if its geometric error covers 16 pixels (Cesium's default); a level is
-# enough while its mean sigma covers 2 pixels (cities/lod.py)
+# enough while its mean sigma covers 2 pixels
 ERROR_OF_SIGMA = 16 / 2
 TILESET, CONTENT = "tileset.json", "tiles"
 Z_UP = np.array([0.0, 0.0, 1.0])
