@@ -116,6 +116,30 @@ class TrainOptions(PoseOptions, DepthOptions, RobustOptions, ExposureOptions, Re
     reads, and is given the whole. The help lists the groups from the last base to the first.
     """
 
+    def check_agreement(self, given: dict[str, Any]) -> None:
+        """InputError for options that contradict each other; `given` are those of the user."""
+        for known in options_of(type(self)):
+            if given.get(known.name, known.default) != known.default and not serves(
+                    known, self.schedule):
+                serving = [name for name in OURS if serves(known, name)]
+                raise InputError(
+                    f"{shown_name(known)}: has no effect with --schedule {self.schedule}; leave "
+                    f"it out, or use --schedule {' or '.join(serving)}")
+        if self.poses == "on" and self.reproject != "off":
+            raise InputError("--poses on: does not go with --reproject, which compares photos by "
+                             "the poses that were given; leave one of them out")
+        if self.test_offset >= max(1, self.test_every):
+            every = self.test_every or "none"
+            raise InputError(f"--test-offset {self.test_offset}: must be less than --test-every, "
+                             f"which is {every}")
+        steps = self.iterations if chooses_steps(self) else PUBLISHED_LENGTH
+        if steps * self.steps_scale > MOST_STEPS:
+            raise InputError(f"--steps-scale {self.steps_scale:g}: turns {steps:,} "
+                             f"steps into more than {MOST_STEPS:,}; give a smaller factor")
+        if self.time_budget and steps != PUBLISHED_LENGTH:  # the number of presets
+            raise InputError("--time-budget: decides the number of steps, as -n does; leave one of "
+                             "them out")
+
 
 def options_with(*schedules: str, parts: Iterable[str] = ()) -> type[TrainOptions]:
     """TrainOptions with the own options of schedules and parts that other packages register."""
@@ -171,7 +195,7 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
            for known in options_of(kind) if known.metadata["part"] == "spheres"):
         values["sphere"] = True
     options = kind(**{**values, **given})
-    _check_agreement(options, given)
+    options.check_agreement(given)
     return options
 
 
@@ -209,27 +233,3 @@ def serves(known: declared.Option, schedule: str) -> bool:
     """Whether an option has an effect with a schedule."""
     part = known.metadata["part"]
     return part is None or part in schedule_of(schedule).parts
-
-
-def _check_agreement(options: TrainOptions, given: dict[str, Any]) -> None:
-    for known in options_of(type(options)):
-        if given.get(known.name, known.default) != known.default and not serves(
-                known, options.schedule):
-            serving = [name for name in OURS if serves(known, name)]
-            raise InputError(
-                f"{shown_name(known)}: has no effect with --schedule {options.schedule}; leave "
-                f"it out, or use --schedule {' or '.join(serving)}")
-    if options.poses == "on" and options.reproject != "off":
-        raise InputError("--poses on: does not go with --reproject, which compares photos by the "
-                         "poses that were given; leave one of them out")
-    if options.test_offset >= max(1, options.test_every):
-        every = options.test_every or "none"
-        raise InputError(f"--test-offset {options.test_offset}: must be less than --test-every, "
-                         f"which is {every}")
-    steps = options.iterations if chooses_steps(options) else PUBLISHED_LENGTH
-    if steps * options.steps_scale > MOST_STEPS:
-        raise InputError(f"--steps-scale {options.steps_scale:g}: turns {steps:,} "
-                         f"steps into more than {MOST_STEPS:,}; give a smaller factor")
-    if options.time_budget and steps != PUBLISHED_LENGTH:  # the number of presets
-        raise InputError("--time-budget: decides the number of steps, as -n does; leave one of "
-                         "them out")

@@ -102,7 +102,7 @@ def test_few_functions_take_all_options():
              if isinstance(function, ast.FunctionDef)
              and any(argument.annotation and "TrainOptions" in ast.unparse(argument.annotation)
                      for argument in (*function.args.args, *function.args.kwonlyargs))]
-    assert "find_decisions" in found and len(found) <= 20, found
+    assert "prepare" in found and len(found) <= 15, found
 
 
 def test_no_flag_is_given_by_default():

@@ -38,7 +38,7 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions, of_file, resolve
 from clsplat.partition.input import world_of
 from clsplat.report.run import write_report
-from clsplat.training.loop import resume, run_record, train
+from clsplat.training.loop import resume, train, trained_on
 from clsplat.training.part import Part
 from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.progress import SilentProgress
@@ -117,7 +117,8 @@ def _note_merge(city: City, merged: Merged, joint: bool = False) -> None:
     coarse, trained = RunFolder(folder.coarse), RunFolder(folder.joint)
     joint = joint and trained.has_model
     blocks = [RunFolder(block.run) for block in folder.blocks()]
-    run.write_options({**run_record(scene, city.options, city.device),
+    run.write_options({**dataclasses.asdict(city.options),
+                       **trained_on(scene, city.options.init, city.device),
                        "blocks": len(merged.shares)})
     write_placement(run.path, scene, first_view=True)
     run.rewind(-1)

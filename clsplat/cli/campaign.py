@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,33 @@ if TYPE_CHECKING:
     from clsplat.io.runs.run import RunFolder
 
 NEW, STARTED, FINISHED = "from the start", "from its checkpoint", "finished before"
+
+
+@dataclass(frozen=True)
+class CampaignRun:
+    """A run of a campaign, in its folder."""
+
+    folder: Path
+    options: TrainOptions
+
+    def state(self, scene: Path) -> str:
+        """NEW, STARTED or FINISHED; InputError if the folder holds another run."""
+        from clsplat.io.runs.run import OPTIONS, RunFolder
+        if not (self.folder / OPTIONS).exists():
+            with RunFolder(self.folder).locked():
+                RunFolder.create(self.folder)
+            return NEW
+        run = RunFolder.open(self.folder)
+        record = run.read_options()
+        cure = "choose another -o, or remove that folder"
+        if not _is_of(run, record, scene):
+            raise InputError(f"{self.folder}: holds a run of another scene, {record.get('scene')}; "
+                             f"{cure}")
+        for name, old, new in differences(record, self.options):
+            raise InputError(f"{self.folder}: holds a run with {name} {old}, not {new}; {cure}")
+        if run.is_finished:
+            return FINISHED
+        return STARTED if run.has_checkpoint else NEW
 
 
 def combinations(file_values: dict[str, Any], flag_values: dict[str, Any], schedules: str,
@@ -52,7 +80,7 @@ def combinations(file_values: dict[str, Any], flag_values: dict[str, Any], sched
             for number in range(seeds) for name in names]
 
 
-def run_campaign(train_one: Callable[[TrainOptions, Path, bool], object],
+def run_campaign(train_one: Callable[[CampaignRun, bool], object],
                  runs: list[TrainOptions], output: Path, scene: Path) -> None:
     """Train the runs that are not finished, then print and write the comparison of all.
 
@@ -60,8 +88,8 @@ def run_campaign(train_one: Callable[[TrainOptions, Path, bool], object],
 
     Parameters
     ----------
-    train_one : called with the options, the folder, and whether to resume from the checkpoint; if
-        not, it may overwrite the folder, which has no checkpoint.
+    train_one : called with a run, and whether to resume it from its checkpoint; if not, it may
+        overwrite the folder, which has no checkpoint.
     runs : the result of `combinations`.
     scene : the path of the scene.
 
@@ -69,21 +97,22 @@ def run_campaign(train_one: Callable[[TrainOptions, Path, bool], object],
     ------
     InputError : before any training if a folder holds another run; at the end if a run failed.
     """
-    states = [_state(Path(output) / f"{o.schedule}.{o.seed}", o, scene) for o in runs]
+    planned = [CampaignRun(Path(output) / f"{each.schedule}.{each.seed}", each) for each in runs]
+    states = [each.state(scene) for each in planned]
     finished, failed = [], []
-    for number, (options, (folder, state)) in enumerate(zip(runs, states), 1):
-        click.echo(f"[{number}/{len(runs)}] {folder}: {state}")
+    for number, (run, state) in enumerate(zip(planned, states), 1):
+        click.echo(f"[{number}/{len(runs)}] {run.folder}: {state}")
         if state != FINISHED:
             try:
-                train_one(options, folder, state == STARTED)
+                train_one(run, state == STARTED)
             except Interrupted as error:
                 raise Interrupted(f"{error}; the same command as before continues the whole "
                                   "campaign") from None
             except ClsplatError as error:
                 click.echo(f"failed: {error}", err=True)
-                failed.append(folder)
+                failed.append(run.folder)
                 continue
-        finished.append(folder)
+        finished.append(run.folder)
     if finished:
         from clsplat.report.compare import write_comparison
         text, page = write_comparison(finished, output)
@@ -91,25 +120,6 @@ def run_campaign(train_one: Callable[[TrainOptions, Path, bool], object],
     if failed:
         raise InputError(f"{', '.join(map(str, failed))}: {len(failed)} of {len(runs)} runs "
                          "failed for the reasons above; the same command tries them again")
-
-
-def _state(folder: Path, options: TrainOptions, scene: Path) -> tuple[Path, str]:
-    """The folder, and NEW, STARTED or FINISHED; InputError if it holds another run."""
-    from clsplat.io.runs.run import OPTIONS, RunFolder
-    if not (folder / OPTIONS).exists():
-        with RunFolder(folder).locked():
-            RunFolder.create(folder)
-        return folder, NEW
-    run = RunFolder.open(folder)
-    record = run.read_options()
-    cure = "choose another -o, or remove that folder"
-    if not _is_of(run, record, scene):
-        raise InputError(f"{folder}: holds a run of another scene, {record.get('scene')}; {cure}")
-    for name, old, new in differences(record, options):
-        raise InputError(f"{folder}: holds a run with {name} {old}, not {new}; {cure}")
-    if run.is_finished:
-        return folder, FINISHED
-    return folder, STARTED if run.has_checkpoint else NEW
 
 
 def _is_of(run: RunFolder, record: dict[str, Any], scene: Path) -> bool:

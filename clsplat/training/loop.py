@@ -77,11 +77,9 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         training.run_to_end()
 
 
-def run_record(scene: Scene, options: TrainOptions, device: Device, is_stage: bool = False
-               ) -> dict[str, Any]:
-    """The options of a run and what it was trained on, for its options.json."""
-    return {"scene": scene.path, **dataclasses.asdict(options), "fingerprint": fingerprint(scene),
-            START: digest_of(options.init),
+def trained_on(scene: Scene, init: str, device: Device, is_stage: bool = False) -> dict[str, Any]:
+    """What a run is trained on and begins with (the option `init`), for its options.json."""
+    return {"scene": scene.path, "fingerprint": fingerprint(scene), START: digest_of(init),
             "opencl_device": device.name, "kernel_form": device.form, "extent": scene.extent,
             "offset": scene.offset.tolist(), PART_OF_CITY: is_stage}
 
@@ -181,7 +179,8 @@ class Training:
         session, (scene, options) = self.session, self._given
         warnings = find_warnings(session.scene, session.prepared.thumbnails,
                                  session.model.rows["opacity_logits"].download())
-        self.run.write_options({**run_record(scene, options, session.device, self.is_stage),
+        self.run.write_options({**dataclasses.asdict(options),
+                                **trained_on(scene, options.init, session.device, self.is_stage),
                                 "decisions": session.decisions.values})
         write_placement(self.run.path, scene, first_view=True)
         self.recorded = True

@@ -55,7 +55,7 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
     run = RunFolder.create(tmp_path / "run")
     run.write_options({"scene": tmp_path, **dataclasses.asdict(here)})
     monkeypatch.setattr(campaign, "_is_of", lambda *_: True)
-    assert refuses(campaign._state, run.path, other, tmp_path) == differs
+    assert refuses(campaign.CampaignRun(run.path, other).state, tmp_path) == differs
     block = SimpleNamespace(folder=run, options=other)  # whose `init` moves
     assert refuses(BlockTraining._check_same, block) == (differs and name != "init")
     city = SimpleNamespace(

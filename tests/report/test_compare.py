@@ -244,7 +244,8 @@ class Trainer:
     def __init__(self, failures=()):
         self.calls, self.failures = [], dict(failures)
 
-    def __call__(self, options, folder, resume):
+    def __call__(self, run, resume):
+        folder, options = run.folder, run.options
         self.calls.append((folder.name, resume))
         if folder.name in self.failures:
             raise self.failures[folder.name]
@@ -274,7 +275,8 @@ def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted, scenes):
     started.save_checkpoint({}, {})
     made_run(tmp_path / "sig.1", "sig", 1, finished=False)  # killed before its first checkpoint
 
-    def train(options, folder, resume):
+    def train(run, resume):
+        folder = run.folder
         calls.append((folder.name, resume))
         folder.mkdir(exist_ok=True)
         (folder / "point_cloud.ply").write_text("ply")

@@ -17,9 +17,10 @@ from clsplat.options import resolve
 from clsplat.schedule import planned_steps, scaled_steps
 from clsplat.schedule.sig import AGREEING, ENOUGH, FEWEST
 from clsplat.training import photos
+from clsplat.training.part import Survey
 from clsplat.training.parts import exposures
 from clsplat.training.parts.exposures import SAMPLED_PHOTOS
-from clsplat.training.photos import SMALL_SIDE
+from clsplat.training.photos import SMALL_SIDE, Thumbnails
 from clsplat.training.start import prepare as module
 from clsplat.training.start.prepare import (
     find_decisions,
@@ -33,8 +34,12 @@ def city():
     return read_scene(CITY).reduced(4)
 
 
+def survey_of(scene, options):
+    return Survey(scene, scene.views, options, Thumbnails(scene.views))
+
+
 def found(scene, **options):
-    return find_decisions(scene, scene.views, resolve({}, options))
+    return find_decisions(survey_of(scene, resolve({}, options)))
 
 
 @pytest.fixture
@@ -147,7 +152,7 @@ def test_few_small_photos_stand_for_all(city, drift):
     seen = drift(0.0)
     large = replace(city.views[0], camera=city.views[0].camera.resized(4 * SMALL_SIDE, 100))
     many = replace(city, views=(large, *city.views * 5))
-    find_decisions(many, many.views, resolve({}, {"reproject": "off"}))
+    find_decisions(survey_of(many, resolve({}, {"reproject": "off"})))
     (views, _, points), = seen
     assert 0.5 * SAMPLED_PHOTOS <= len(views) <= SAMPLED_PHOTOS and points is many.points
     assert [view.name for view in views] == [view.name for view in many.views[::3]]
@@ -202,7 +207,7 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatc
     def engine(memory, **changes):
         device = SimpleNamespace(real=np.dtype(np.float32),
                                  handle=SimpleNamespace(global_mem_size=memory))
-        return find_decisions(city, city.views, replace(options, **changes), device)
+        return find_decisions(survey_of(city, replace(options, **changes)), device)
 
     assert engine(3.02 * needed).options.engine == "device"
     result = engine(2.98 * needed)
@@ -216,7 +221,7 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatc
     started = {"schedule": "mcmc", "max_gaussians": 90_000, "init": str(large)}
     assert engine(3.02 * of_file, **started).options.engine == "device"
     assert engine(2.98 * of_file, **started).options.engine == "numpy"
-    assert find_decisions(city, city.views, options).options.engine == "auto"
+    assert find_decisions(survey_of(city, options)).options.engine == "auto"
     # dash, which looks at every photo when training begins, does not for this
     monkeypatch.setattr(module, "decoded", None)
     assert engine(1e9, schedule="dash").options.engine == "device"

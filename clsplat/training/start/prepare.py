@@ -107,9 +107,9 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None,
     if options.test_offset and not test_views:
         raise InputError(f"{scene.name}: --test-offset {options.test_offset} holds out none of its "
                          f"{len(scene.views)} views; use a smaller number")
-    thumbnails = Thumbnails(train_views)
-    return PreparedScene(scene, train_views, test_views, find_decisions(
-        scene, train_views, options, device, thumbnails, parts), thumbnails, parts)
+    survey = Survey(scene, train_views, options, Thumbnails(train_views))
+    return PreparedScene(scene, train_views, test_views, find_decisions(survey, device, parts),
+                         survey.thumbnails, parts)
 
 
 def scene_facts(scene: Scene, views: Sequence[View], thumbnails: Thumbnails | None = None
@@ -138,27 +138,24 @@ def smallest_size(views: Sequence[View]) -> tuple[int, int]:
     return min(((view.camera.width, view.camera.height) for view in views), key=min)
 
 
-def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
-                   device: Device | None = None, thumbnails: Thumbnails | None = None,
-                   given: Sequence[Part] = ()) -> Decisions:
+def find_decisions(survey: Survey, device: Device | None = None, given: Sequence[Part] = ()
+                   ) -> Decisions:
     """Decide about all that is optional; InputError where an option cannot be met.
 
     Parameters
     ----------
-    scene, views : at the size of training; the training views.
-    options : as the user gave them.
+    survey : with options as the user gave them.
     device : where it trains; None leaves the choice of the Adam engine to `model.Model`, by the
         number of initial gaussians.
-    thumbnails : of the views.
     given : parts besides those that the options ask for.
     """
-    thumbnails = thumbnails or Thumbnails(views)
+    scene, views, options, thumbnails = survey
     facts, schedule = scene_facts(scene, views, thumbnails), schedule_of(options.schedule)
     for part in given:
         facts = part.facts(facts, scene, views, None)
     length, most = _steps(len(views), options, facts, is_stage(options, given))
     options = scaled_steps(replace(options, iterations=length.value))
-    survey = Survey(scene, views, options, thumbnails)
+    survey = survey._replace(options=options)
     of_parts = {name: decision for part in (*PARTS, *map(registered_part, options.add_parts))
                 for name, decision in part.decide(survey).items()}
     limit = Decision(*schedule.planned_limit(options, facts))
