@@ -53,16 +53,8 @@ def evaluation_seconds(session: Session, final_metrics: Mapping[str, Metric]
 class Deadline:
     """Adapts the number of steps of a session to the time that its steps take.
 
-    Parameters
-    ----------
-    session : the state of the training.
-    clock : its time.
-    each : seconds of one evaluation.
-    last_extra : seconds by which the last one takes longer.
-
-    Attributes
-    ----------
-    evaluation_seconds : of one evaluation; the caller keeps it up to date.
+    An evaluation takes `each` seconds, and the last one `last_extra` more; the caller keeps
+    `evaluation_seconds`, of one evaluation, up to date.
     """
 
     def __init__(self, session: Session, clock: Clock, each: float, last_extra: float = 0.0

@@ -109,18 +109,8 @@ class Checkpoint:
 
 def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays,
                     state: dict[str, Any]) -> Gaussians:
-    """The gaussians in a run's checkpoint, in the units of training.
-
-    Parameters
-    ----------
-    run : the folder.
-    record : option -> value, as the run's record has it.
-    arrays, state : contents of the checkpoint.
-
-    Raises
-    ------
-    InputError : the checkpoint or the options lack what is needed, or have what was not saved.
-    """
+    """The gaussians in the arrays and state of a run's checkpoint, in the units of training;
+    `record` is option -> value. InputError if the checkpoint or the options are damaged."""
     try:
         for key, (kinds, least) in STATE.items():
             value = state[key]
@@ -149,17 +139,9 @@ def latest_model(run: RunFolder) -> Gaussians:
 
 
 def gaussians_of(arrays: Arrays, sh_degree: int, moments: bool = True) -> Gaussians:
-    """The gaussians in the arrays of a checkpoint.
-
-    Parameters
-    ----------
-    moments : whether their moments and statistics are among the arrays, and checked too.
-
-    Raises
-    ------
-    KeyError : names an array that is missing.
-    ValueError : names an array that does not fit the others.
-    """
+    """The gaussians in the arrays of a checkpoint, whose moments and statistics are checked too
+    where it has `moments`; KeyError names an array that is missing, ValueError one that does not
+    fit."""
     carried = [field for field in FIELDS if f"row.{field.name}" in arrays or field in LEARNED]
     count = arrays["statistics.seen_count" if moments else "row.opacity_logits"].size
     kinds = {"row": carried, **({"m": LEARNED, "v": LEARNED} if moments else {})}

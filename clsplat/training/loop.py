@@ -133,13 +133,7 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
 
 class Training:
     """Runs a session to its end; arguments as for `train`, with the gaussians and the level of a
-    resumed run.
-
-    Attributes
-    ----------
-    recorded : whether the run folder contains this run.
-    is_stage : whether the run is a stage of a larger training, such as a block of a city.
-    """
+    resumed run. `recorded` is whether the run folder contains this run."""
 
     def __init__(self, scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                  progress: SilentProgress | None = None, gaussians: Gaussians | None = None,

@@ -24,21 +24,15 @@ ENGINES: dict[str, type[Adam]] = {"device": DeviceAdam, "numpy": NumpyAdam}
 class Model:
     """Rows of gaussians on the device, and an Adam engine whose moments follow them.
 
-    Parameters
-    ----------
-    engine : where moments are kept, "device" or "numpy"; "auto": on the device if they fit now.
-    dense : whether Adam updates all rows or only those that a view saw.
-
-    Attributes
-    ----------
-    layout : another object after each change of the arrays or of the number of gaussians.
-    frozen : uint[count], not 0 for gaussians that are not trained; None: all are trained.
+    The moments are kept by `engine` "device" or "numpy"; "auto": on the device if they fit now. A
+    `dense` Adam updates all rows, not only those that a view saw. `layout` is another object after
+    each change of the arrays or of the number of gaussians.
     """
 
     def __init__(self, device: Device, gaussians: Gaussians, engine: str = "auto",
                  dense: bool = False) -> None:
         self.device, self.sh_degree = device, gaussians.sh_degree
-        self.frozen: Array | None = None
+        self.frozen: Array | None = None  # uint[count], not 0 for those that are not trained
         self.count, self.layout = gaussians.count, object()
         self._arrays = {name: device.upload(values) for name, values in gaussians.rows.items()}
         if engine == "auto":

@@ -43,13 +43,8 @@ Photo = NDArray[np.uint8]
 def epoch_order(seed: int, epoch: int, visits: NDArray[np.floating]) -> NDArray[np.int64]:
     """The views of an epoch in their order, as many as there are views.
 
-    Each comes as often as its share of all visits says, rounded up or down at random (Madow 1949,
-    On the theory of systematic sampling).
-
-    Parameters
-    ----------
-    seed, epoch : of the random order.
-    visits : [V], of each view, in any unit.
+    Each comes as often as its share of all visits [V] says, rounded up or down at random (Madow
+    1949, On the theory of systematic sampling).
     """
     rng, count = np.random.default_rng([seed, 1, epoch]), len(visits)
     order = rng.permutation(count)
@@ -162,17 +157,10 @@ class PhotoStore:
     """Decodes photos in threads, from the first to the last, and keeps them in a file.
 
     The file has no name, so the system removes it however the process ends. Photos for which there
-    is no space are decoded at each use.
+    is no space are decoded at each use: the first `count` are kept.
 
-    Parameters
-    ----------
-    sizes : bytes of each photo, or more.
-    decode : called with a photo's index; returns it, uint8[channels, H, W].
-    folder : of the file; None: the system's folder for temporary files.
-
-    Attributes
-    ----------
-    count : how many photos are kept, which are the first.
+    `sizes` are the bytes of each photo, or more; `decode` returns one by its index, uint8[channels,
+    H, W]; `folder` is that of the file, or None for the system's folder for temporary files.
     """
 
     def __init__(self, sizes: Sequence[int], decode: Callable[[int], Photo], threads: int,

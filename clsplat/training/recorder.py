@@ -81,10 +81,8 @@ class Clock:
 class Recorder:
     """Reports the steps and the evaluations of a session.
 
-    Attributes
-    ----------
-    stop : whether a callback has raised an exception, after which the step is finished and saved.
-    failure : the first exception of a callback that is not StopTraining, to be raised then.
+    Once a callback raises an exception, `stop` is set, and the step is finished and saved; then
+    `failure` is raised, the first one that is not StopTraining.
     """
 
     def __init__(self, session: Session, clock: Clock, run: RunFolder, progress: SilentProgress,
@@ -175,21 +173,13 @@ class Recorder:
 
 
 class Evaluator:
-    """Evaluates the held-out views of a session.
-
-    Attributes
-    ----------
-    evaluated_at : step of the last evaluation of the run, or None.
-    per_view : scores of its views, if this process made it.
-    final_metrics : of the last evaluation, which has time for more.
-    latest_seconds : its duration.
-    """
+    """Evaluates the held-out views of a session."""
 
     def __init__(self, session: Session, clock: Clock, recorder: Recorder) -> None:
         self.session, self.clock, self.recorder = session, clock, recorder
-        self.final_metrics = final_metrics(session.options.lpips)
-        self.evaluated_at: int | None = None
-        self.per_view: list[dict[str, Any]] | None = None
+        self.final_metrics = final_metrics(session.options.lpips)  # of the last, with more time
+        self.evaluated_at: int | None = None  # step of the latest evaluation of the run
+        self.per_view: list[dict[str, Any]] | None = None  # its scores, if this process made it
         self.latest_seconds = self._all_seconds = 0.0
         self._is_begun = False  # whether the head of the scores was shown
 

@@ -126,8 +126,7 @@ class Session:
         return True
 
     def sample(self, view: int, number: int) -> TrainingSample:
-        """The training sample of a view, with the number of views that have been trained on then.
-        """
+        """The sample of a view, with the number of views that have been trained on then."""
         return TrainingSample(view, self.cameras[view], self.photos[view],
                               self.train_views[view].may_have_mask, number)
 

@@ -55,11 +55,7 @@ class Step:
     of its kind. Whoever reads the model, the statistics or a counter gets them after all steps that
     were taken, and waits for these; whoever reads what a part has learned calls `settle` before.
 
-    Parameters
-    ----------
-    extent : world units; size of the scene.
-    options : with scaled steps.
-    parts : what the training has besides the gaussians, with a term of the loss at least.
+    `extent` is the size of the scene; of the `parts`, one at least is a term of the loss.
     """
 
     def __init__(self, renderer: Renderer, model: Model, extent: float, options: ScheduledOptions,

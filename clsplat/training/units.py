@@ -35,18 +35,11 @@ class Unit(NamedTuple):
 
 
 class Units:
-    """The units that were submitted and are not known to be done.
-
-    Attributes
-    ----------
-    counts : uint[FRAME_COUNTS], for all frames of the units.
-    most_pending : units after which `submit` waits for the first half of them; fewer after
-        `poll_soon`.
-    """
+    """The units that were submitted and are not known to be done."""
 
     def __init__(self, device: Device) -> None:
-        self.counts = device.zeros(*COUNTS)
-        self.most_pending = MOST_PENDING
+        self.counts = device.zeros(*COUNTS)  # for all frames of the units
+        self.most_pending = MOST_PENDING  # `submit` then waits for the first half of them
         self._pending, self._done = list[Unit](), 0
         self._reading: Reading | None = None
         self._since_reading = 0

@@ -44,13 +44,8 @@ class CityFolder:
     """A run folder that also has the coarse run, the partition and the blocks of a city. Errors are
     InputError.
 
-    Attributes
-    ----------
-    coarse, joint : folders of the coarse run and of the joint training.
-    undistorted : folder of the undistorted photos of a scene that needs them.
-    dense, joint_start : PLYs of the gaussians at dense points, and of the points at which the joint
-        training begins.
-    picture : the partition as an image.
+    `coarse` and `joint` are the folders of the coarse run and of the joint training, `dense` and
+    `joint_start` PLYs of the gaussians at dense points and at the start of the joint training.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -176,14 +171,8 @@ class CityFolder:
 
 
 class BlockFolder:
-    """One block of a city: an ordinary scene folder with its region, its initial gaussians and its
-    run. Errors are InputError.
-
-    Attributes
-    ----------
-    initial : the PLY of its initial gaussians.
-    run : the folder of its run.
-    """
+    """One block of a city: an ordinary scene folder with its region, the PLY of its initial
+    gaussians and the folder of its run. Errors are InputError."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)

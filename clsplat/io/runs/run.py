@@ -24,11 +24,12 @@ from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, record_of, write_object
 from clsplat.io.runs.learned import EXPOSURES, POSES, read_exposures, write_exposures
 from clsplat.io.runs.origin import origin, recorded_scene, scene_record
-from clsplat.io.runs.renders import Renders
 from clsplat.response import Response
 
 OPTIONS, METRICS = "options.json", "metrics.jsonl"
 CHECKPOINT = "checkpoint.npz"
+RENDERS = "renders"
+WRITTEN = "written.json"  # in that folder: the pictures there that clsplat wrote
 MODEL, REPORT = "point_cloud.ply", "report.html"
 PART_OF_CITY = "part_of_city"  # key of options.json: whether it is a coarse run or a block
 # in the order of their removal
@@ -37,23 +38,60 @@ CITY = "city.json"  # of a folder that `clsplat city` wrote: io/runs/city.py rea
 STATE = "state.json"  # the member of a checkpoint that holds everything but arrays
 
 
+class Renders:
+    """The pictures of views, renders/KIND/NAME.png: those that clsplat wrote may be replaced."""
+
+    def __init__(self, run: Path) -> None:
+        self.folder = run / RENDERS
+
+    def paths(self) -> list[Path]:
+        """The pictures that clsplat wrote and that still exist; those behind a link are left out,
+        since they may belong to somebody else."""
+        try:
+            names = object_of((self.folder / WRITTEN).read_bytes())["pictures"]
+            paths = [self.folder / name for name in names if ".." not in Path(name).parts]
+        except (OSError, ValueError, KeyError, TypeError):
+            return []
+        inside = os.path.join(os.path.realpath(self.folder.parent), RENDERS, "")
+        return [path for path in paths if path.is_file() and not path.is_symlink()
+                and os.path.realpath(path).startswith(inside)]
+
+    def note(self, kind: str, names: list[str]) -> None:
+        """Record that each `path(kind, name)` will be written: --overwrite may remove it."""
+        make_folder(self.folder)
+        pictures = {path.relative_to(self.folder).as_posix() for path in self.paths()}
+        pictures |= {f"{kind}/{name}.png" for name in names}
+        write_object(self.folder / WRITTEN, {"pictures": sorted(pictures)}, indent=0)
+
+    def path(self, kind: str, name: str) -> Path:
+        """Where to write the picture of a view; its folder is created.
+
+        The suffix of the view's name is kept, or a.jpg and a.png would share one file.
+        """
+        path = self.folder / kind / f"{name}.png"
+        if not path.resolve().is_relative_to(self.folder.resolve()):
+            raise InputError(f"{name}: a view's name must not leave the render folder; rename it")
+        make_folder(path.parent)
+        return path
+
+    def remove(self) -> None:
+        """Remove what clsplat wrote; a render folder that is a link is not followed."""
+        if not self.folder.is_symlink():
+            remove_files([*self.paths(), self.folder / WRITTEN], self.folder)
+
+
 class RunFolder:
     """One training on disk: its options, metrics, checkpoint, model, report and renders.
 
     Every write replaces a whole file, except for lines of metrics; one that a kill cut short is
     dropped by the next `log` or `rewind`. Errors are InputError.
-
-    Attributes
-    ----------
-    undistorted : folder of the undistorted photos of a scene that needs them; they stay when the
-        run is replaced, for the next run.
     """
 
     def __init__(self, path: str | Path) -> None:
         """Use `create` or `open`."""
         self.path = Path(path)
         self.renders = Renders(self.path)
-        self.undistorted = self.path / UNDISTORTED
+        self.undistorted = self.path / UNDISTORTED  # stays when the run is replaced
         self._metrics_whole = self._replaces = False
 
     @classmethod

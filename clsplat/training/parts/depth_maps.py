@@ -49,7 +49,6 @@ class DepthMaps(Part):
         self.weight = session.options.depth_weight
 
     def begin_level(self, session: Session) -> None:
-        """Use the maps of views with cameras of a level from now on."""
         self.use(session.device, session.photos.views, session.scene.unit)
 
     def use(self, device: Device, views: Sequence[View], unit: float) -> None:
@@ -60,11 +59,8 @@ class DepthMaps(Part):
         self._kept = [self._upload(view) for view in views] if self.resident else []
 
     def map_of(self, view: int) -> Array | None:
-        """A view's depth map, real[H, W], in units of the scene; None without one.
-
-        Depths are along the camera's axis, and 0 where there is none or the photo's pixel does not
-        count.
-        """
+        """A view's depth map, real[H, W], along the camera's axis in units of the scene, 0 where no
+        depth is known or the photo's pixel does not count; None without one."""
         return self._kept[view] if self.resident else self._upload(self._views[view])
 
     def _upload(self, view: View) -> Array | None:
@@ -77,12 +73,10 @@ class DepthMaps(Part):
         return self._device.upload(depth)
 
     def inputs(self, now: Now, sample: TrainingSample) -> Inputs | None:
-        """The map; None for a view without one."""
         known = self.map_of(sample.view)
         return None if known is None else {"map": known}
 
     def add_to(self, work: ViewPass, inputs: Inputs) -> Array:
-        """Return the sums of `compare_depth`."""
         blended = work.frame.blended
         sums, grad_depth, grad_transmittance = compare_depth(
             work.counts.device, blended.depth, blended.transmittance, inputs["map"], self.weight)

@@ -26,11 +26,7 @@ SAMPLED_PHOTOS = 64  # whose brightness is compared
 class PhotoResponses(Part):
     """Applies the response of its photo to each image before the loss, and learns it.
 
-    Parameters
-    ----------
-    known : the responses of views by name, at which learning begins; a view that has none begins
-        with the identity. None: all do.
-    learns : whether they are learned, or stay as they are.
+    Learning begins at the `known` responses, by the names of views, and else at the identity.
     """
 
     name = "exposure"
@@ -62,11 +58,9 @@ class PhotoResponses(Part):
         self.skipped = self.exposures.skipped
 
     def recentre(self) -> None:
-        """Restore the initial mean of the responses."""
         self.exposures.recentre()
 
     def respond(self, work: ViewPass, inputs: Inputs) -> None:
-        """Set the response of the photo."""
         work.exposure = self.exposures.of(work.view, work.camera)
 
     def adjoint(self, work: ViewPass, inputs: Inputs) -> None:

@@ -28,7 +28,6 @@ class ImageTerm(Part):
         self.ssim_weight = session.options.ssim_weight
 
     def add_to(self, work: ViewPass, inputs: Inputs) -> tuple[Array, int]:
-        """Return what `loss_value` needs."""
         image = work.frame.exposed
         partials, grad_image = image_loss(image.device, image, work.photo, self.ssim_weight)
         work.grad.add(image=grad_image)

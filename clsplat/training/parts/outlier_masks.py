@@ -71,15 +71,8 @@ def resampled(cells: Cells, height: int, width: int) -> Cells:
 
 def find_outliers(renderer: Renderer, rows: Rows, sh_degree: int,
                   views: Callable[[], Iterable[ObservedView]]) -> list[Cells]:
-    """The cells of each view that are ignored; waits.
-
-    Parameters
-    ----------
-    renderer : renders the views.
-    rows : field name -> real[N, *row shape].
-    sh_degree : degree of the spherical harmonics that are used.
-    views : returns all training views in their order; called twice.
-    """
+    """The cells of each view that are ignored; waits. `views` returns all training views in their
+    order, and is called twice."""
     explained = _Explained(renderer, rows, sh_degree)
     found = [explained.add(view) for view in views()]
     scale = float(np.median(np.concatenate([each.ravel() for each in found])))
@@ -185,7 +178,6 @@ class OutlierMasks(Part):
 
     @classmethod
     def decide(cls, survey: Survey) -> dict[str, Decision]:
-        """On only if requested."""
         if survey.options.robust == "on":
             return {"robust": Decision(
                 "on", "on: requested; the record `robust` of the run has the share of the pixels "
@@ -230,7 +222,6 @@ class OutlierMasks(Part):
                 "most": round(max(float(each.mean()) for each in cells), 6)}
 
     def state(self) -> State:
-        """The cells of all views are in bits."""
         ignored = self._photos.ignored
         return {"disturbed_at": np.array(self._calm_since), **({} if ignored is None else {
             "cells": np.packbits(np.concatenate([each.ravel() for each in ignored]))})}

@@ -37,19 +37,15 @@ class CameraPoses(Part):
         self.skipped = self.poses.skipped
 
     def recentre(self) -> None:
-        """Take out the mean rigid motion of all cameras."""
         self.poses.recentre()
 
     def inputs(self, now: Now, sample: TrainingSample) -> Inputs:
-        """The learning rate."""
         return {"rate": pose_rate(now.progress)}
 
     def camera(self, work: ViewPass, inputs: Inputs) -> None:
-        """Correct the camera."""
         work.camera = self.poses.apply(work.view, work.given)
 
     def learn(self, work: ViewPass, inputs: Inputs) -> None:
-        """Take one step of Adam on the pose of the view."""
         assert work.gradients.pose_terms is not None  # `needs_pose`
         self.poses.step(work.view, inputs["rate"], work.given, work.gradients.pose_terms,
                         work.counts)

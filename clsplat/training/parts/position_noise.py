@@ -25,9 +25,7 @@ class PositionNoise(Part):
         self._amount, self._seed = session.options.position_noise, session.options.seed
 
     def inputs(self, now: Now, sample: TrainingSample) -> Inputs:
-        """The amount of noise and the number of the step."""
         return {"amount": self._amount * now.rates["positions"], "now": now.iteration}
 
     def move(self, work: ViewPass, inputs: Inputs) -> None:
-        """Move positions at random."""
         add_noise(work.rows, inputs["amount"], inputs["now"], self._seed, work.counts, work.frozen)

@@ -27,5 +27,4 @@ class Regularisers(Part):
         self._weights = session.options.opacity_weight, session.options.scale_weight
 
     def learn(self, work: ViewPass, inputs: Inputs) -> None:
-        """Add the gradient of the regularisation to that of the view."""
         regularise(work.rows, work.gradients, *self._weights)

@@ -74,8 +74,7 @@ class Reprojection(Part):
             self._device, [(cameras[i], cameras[j]) for i, j in self._pairs])
 
     def recentre(self) -> None:
-        """Follow the exposures, which were recentred before."""
-        if self._exposures:
+        if self._exposures:  # which were recentred before
             self._compare_colours()
 
     def _compare_colours(self) -> None:
@@ -96,7 +95,6 @@ class Reprojection(Part):
         return row, self._pairs[row][1]
 
     def inputs(self, now: Now, sample: TrainingSample) -> Inputs | None:
-        """A source view, the transforms to it and the weight; None without a weight or a view."""
         pair = self._drawn(sample.number, sample.view) if now.plan.regularises else None
         return pair and {"photo": self._photos[pair[1]], "geometries": self._geometries,
                          "colours": self._colours, "pair": pair[0],
@@ -114,5 +112,4 @@ class Reprojection(Part):
         work.grad.add(depth=grad_depth, transmittance=grad_transmittance)
 
     def load(self, state: State, session: Session) -> None:
-        """Follow the exposures, which were loaded before."""
-        self.recentre()
+        self.recentre()  # the exposures were loaded before

@@ -140,15 +140,9 @@ def smallest_size(views: Sequence[View]) -> tuple[int, int]:
 
 def find_decisions(survey: Survey, device: Device | None = None, given: Sequence[Part] = ()
                    ) -> Decisions:
-    """Decide about all that is optional; InputError where an option cannot be met.
-
-    Parameters
-    ----------
-    survey : with options as the user gave them.
-    device : where it trains; None leaves the choice of the Adam engine to `model.Model`, by the
-        number of initial gaussians.
-    given : parts besides those that the options ask for.
-    """
+    """Decide about all that is optional; InputError where an option cannot be met. `given` are
+    parts besides those that the options ask for; without a device, `model.Model` chooses the Adam
+    engine by the number of initial gaussians."""
     scene, views, options, thumbnails = survey
     facts, schedule = scene_facts(scene, views, thumbnails), schedule_of(options.schedule)
     for part in given:
