@@ -161,10 +161,8 @@ def checked_values(source: str, values: dict[str, Any], *schedules: str,
                    parts: Iterable[str] = ()) -> dict[str, Any]:
     """The checked values of options, by name; InputError, which begins with `source`, for others.
 
-    Parameters
-    ----------
-    values : option -> value; the schedule and the parts among them add their own options.
-    schedules, parts : names of more of them whose options are allowed.
+    The schedule and the parts among the values add their own options; `schedules` and `parts` name
+    more of them.
     """
     name = checked(source, "schedule", values.get("schedule", TrainOptions.schedule))
     named = checked(source, "add_parts", values.get("add_parts", TrainOptions.add_parts))

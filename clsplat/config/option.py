@@ -131,14 +131,11 @@ def expected(option: Option) -> str:
 
 
 def checked_value(option: Option, value: Any) -> Any:
-    """Convert a value to the type of the option, or refuse it.
+    """Convert a value to the type of the option, or refuse it by a ValueError that says what is
+    expected; one without text means what `expected` returns.
 
     A word becomes what it stands for, an integer becomes a float where one is expected, and a list,
     as TOML and JSON have it, becomes a tuple.
-
-    Raises
-    ------
-    ValueError : its text says what is expected; without text, `expected` does.
     """
     words, (kind, count) = option.metadata["words"], kind_of(option)
     if isinstance(value, list):
@@ -247,11 +244,7 @@ def differences(record: dict[str, Any], options: Any) -> Iterator[tuple[str, Any
     """Yield (name, recorded value, present value) of each option that would make another run.
 
     This alone decides whether two runs are the same: options that affect "nothing" may differ.
-
-    Parameters
-    ----------
-    record : option -> value, as a JSON file has it.
-    options : instance of a dataclass of options.
+    `record` is option -> value, as a JSON file has it.
     """
     present = plain(options)
     for known in options_of(type(options)):

@@ -22,14 +22,10 @@ LOG = logging.getLogger(__name__)
 
 
 class Group:
-    """What the packages of this environment register in a group of entry points.
+    """What the packages of this environment register in a group of entry points, NAME =
+    MODULE:CLASS.
 
-    Parameters
-    ----------
-    name : name of the group; its entries are NAME = MODULE:CLASS.
-    noun : what the classes are, in messages.
-    base : name of the class of which each is a subclass, in messages.
-    ours : names that other packages cannot take.
+    Messages call a class `noun`, and its base class `base`; names of `ours` cannot be taken.
     """
 
     def __init__(self, name: str, noun: str, base: str, ours: Iterable[str] = ()) -> None:
@@ -73,15 +69,9 @@ class Group:
         raise InputError(f"{name}: {self.source(name)} is not a subclass of {self.base}; {CORRECT}")
 
     def own_options(self, name: str, own: Any, taken: type) -> type | None:
-        """The dataclass of an entry's own options, or None.
+        """The dataclass `own` of an entry's own options, or None.
 
-        InputError if it is no frozen dataclass of options, or if one has a name that is taken.
-
-        Parameters
-        ----------
-        name : of the entry.
-        own : what its class has as Options.
-        taken : a dataclass of options.
+        InputError if it is no frozen dataclass of options, or has a name that `taken` has.
         """
         if own is None:
             return None
@@ -101,15 +91,10 @@ class Group:
 
 def guarded(kind: type, methods: Iterable[str], label: str, source: str,
             check: Callable[[str, Any], None] = lambda method, result: None) -> type:
-    """A subclass whose methods name it in what they raise.
+    """A subclass whose methods name it, by the flag `label` and its `Group.source`, in what they
+    raise.
 
-    Parameters
-    ----------
-    kind : a class of another package.
-    methods : names of the methods.
-    label : the flag by which a user asks for the class, for messages.
-    source : the result of `Group.source`.
-    check : called with a method and what it returned; may raise InputError.
+    `check` is called with a method and what it returned; it may raise InputError.
     """
     def of(method: str) -> Callable[..., Any]:
         def call(self: Any, *args: Any, **kwargs: Any) -> Any:

@@ -33,15 +33,13 @@ class Candidates:
     ----------
     rows : field name -> float32[N, *row shape], every field but the spherical harmonics (SH).
     extent : of the scene, world units.
-    options : of the training.
-    prunes_large : whether gaussians larger than the option `prune_size` are removed.
+    options, prunes_large : of the training; whether ones larger than `prune_size` are removed.
 
     Attributes
     ----------
     largest : float32[N], the largest of the three logarithms of standard deviations, world units.
     limit : the logarithm of the largest standard deviation that is not pruned.
-    is_small : bool[N], those that are cloned rather than split.
-    visible : bool[N], those neither transparent nor outside their sphere.
+    is_small, visible : bool[N], cloned rather than split; neither transparent nor outside a sphere.
     """
 
     def __init__(self, rows: dict[str, NDArray[np.float32]], extent: float, options: GrowthOptions,
@@ -71,16 +69,9 @@ class Candidates:
 
 def plan_growth(candidates: Candidates, grows: NDArray[np.bool_], prunes: NDArray[np.bool_],
                 rng: np.random.Generator) -> Growth:
-    """Decide what becomes of each gaussian.
-
-    Parameters
-    ----------
-    candidates : the gaussians.
-    grows : bool[N], those to be cloned or split.
-    prunes : bool[N], those to be removed; one that is too large may still be split, if its children
-        are small enough.
-    rng : draws the positions of children.
-    """
+    """Decide what becomes of each gaussian: clone or split those of `grows`, bool[N], remove those
+    of `prunes`, bool[N]. One that is too large may still be split, if its children are small
+    enough."""
     rows, options = candidates.rows, candidates.options
     splits = np.flatnonzero(grows & ~candidates.is_small)
     clones = np.flatnonzero(grows & candidates.is_small & ~prunes)

@@ -21,15 +21,8 @@ def plan_relocation(opacity_logits: NDArray[np.floating], log_scales: NDArray[np
     """Decide which gaussians become copies of which, in one draw for relocation and growth.
 
     Where no gaussian lives nothing changes. The moments of all gaussians that share begin at 0.
-
-    Parameters
-    ----------
-    opacity_logits, log_scales : float[N], and float[N, 3].
-    dead : bool[N], those that are relocated.
-    frozen : bool[N], those that are not to change, dead or not; they are not drawn.
-    added : by how many the model grows.
-    least_opacity : no copy gets less.
-    rng : draws.
+    Those of `dead`, bool[N], are relocated; those of `frozen` do not change and are not drawn; the
+    model grows by `added`; no copy gets less than `least_opacity`.
     """
     with np.errstate(over="ignore"):
         opacities = 1 / (1 + np.exp(-opacity_logits.astype(np.float64)))
@@ -58,7 +51,7 @@ def plan_relocation(opacity_logits: NDArray[np.floating], log_scales: NDArray[np
 
 
 def shared(opacity: Floats, number: NDArray[np.integer]) -> tuple[Floats, Floats]:
-    """The opacity of each of so many equal gaussians in place of one, and the factor of their size.
+    """The opacity o' of each of N equal gaussians in place of one, and the factor of their size.
 
     Stacked in one place they are as opaque in their middle as the one was, 1 - (1 - o')^N = o, and
     along a line across it the integral of their opacity is the same:
@@ -66,16 +59,7 @@ def shared(opacity: Floats, number: NDArray[np.integer]) -> tuple[Floats, Floats
         o sqrt(2 pi) s = s' integral of 1 - (1 - o' exp(-x^2 / 2))^N
 
     The binomial theorem makes of this the double sum of eq. 9, whose terms alternate and cancel;
-    the integral has no such terms, for any N.
-
-    Parameters
-    ----------
-    opacity : float64[S], above 0.
-    number : int[S], N, at least 1.
-
-    Returns
-    -------
-    float64[S], o'; float64[S], s' / s.
+    the integral has no such terms, for any N. All are [S]; `opacity` is above 0, `number` (N) too.
     """
     with np.errstate(divide="ignore"):  # an opacity of 1
         each = -np.expm1(np.log1p(-opacity) / number)

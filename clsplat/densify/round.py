@@ -22,14 +22,8 @@ Mask = NDArray[np.bool_]
 class MeasuredRound:
     """The `schedule.growth.Round` of a training, which describes its attributes and methods.
 
-    Parameters
-    ----------
-    iteration : number of the step before it, from 1.
-    candidates : the gaussians.
-    options : options of the training.
-    frozen : bool[N], gaussians that are not trained.
-    gradient : returns float[N], mean screen gradients, NDC units; waits for the device.
-    scores : float[N] of mean screen gradients -> float[N], scores of Taming 3DGS; renders views.
+    `gradient` returns float[N], mean screen gradients in NDC units, and waits for the device;
+    `scores` makes of these the scores float[N] of Taming 3DGS, and renders views.
     """
 
     def __init__(self, iteration: int, candidates: Candidates, options: "ScheduledOptions",

@@ -24,13 +24,7 @@ COEFFICIENTS = {
 
 
 class ScoredView(Protocol):
-    """A view that gaussians are scored in.
-
-    Attributes
-    ----------
-    camera : real[27], packed.
-    photo : uchar[3 or 4, H, W].
-    """
+    """A view that gaussians are scored in: packed camera real[27], photo uchar[3 or 4, H, W]."""
 
     camera: Array
     photo: Array
@@ -39,25 +33,13 @@ class ScoredView(Protocol):
 def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
                   sh_degree: int, ssim_weight: float, gradient: NDArray[np.floating]
                   ) -> NDArray[np.float64]:
-    """The scores of gaussians, summed over views.
+    """The scores float64[N] of gaussians, summed over about ten views; 0 where no view sees one.
 
     A view's score is its loss times a sum of terms, each a value over the median of its positive
     values times a coefficient. Where the publication is not specific: medians are over the
     gaussians that the view sees; edges are the gradient magnitude of Sobel; a constant map has no
-    weight; the distance from the mean is summed over the pixels.
-
-    Parameters
-    ----------
-    renderer : renders the views.
-    rows : field name -> real[N, *row shape].
-    views : about ten, with packed cameras and photos.
-    sh_degree : of the spherical harmonics that are used.
-    ssim_weight : share of D-SSIM in the loss of a view.
-    gradient : float[N], mean screen gradients.
-
-    Returns
-    -------
-    float64[N], 0 for gaussians that no view sees.
+    weight; the distance from the mean is summed over the pixels. `gradient` is float[N], mean
+    screen gradients; `ssim_weight` is the share of D-SSIM in the loss.
     """
     with np.errstate(over="ignore"):  # an infinity makes an opacity of 0, which is right
         opacity = 1 / (1 + np.exp(-rows["opacity_logits"].download().astype(np.float64)))

@@ -15,32 +15,15 @@ Mask = NDArray[np.bool_]
 def above_threshold(gradient: Floats, threshold: float, room: int | None = None) -> Mask:
     """The gaussians whose gradient reaches a threshold (3DGS).
 
-    Parameters
-    ----------
-    gradient : float[N], mean screen gradients.
-    threshold : the smallest gradient that is chosen.
-    room : the largest number to choose, by highest gradient, then by row; None: any number.
-
-    Returns
-    -------
-    bool[N].
+    `room` is the largest number to choose, by highest gradient, then by row; None: any number.
     """
     mask = gradient >= threshold
     return mask if room is None else _highest_of(mask, gradient, room)
 
 
 def highest(gradient: Floats, count: int) -> Mask:
-    """The gaussians of the highest gradients (DashGaussian), among equals the first.
-
-    Parameters
-    ----------
-    gradient : float[N], mean screen gradients; those of 0 are not chosen.
-    count : how many to choose.
-
-    Returns
-    -------
-    bool[N].
-    """
+    """The `count` gaussians of the highest gradients above 0 (DashGaussian), among equals the
+    first."""
     return _highest_of(gradient > 0, gradient, count)
 
 
@@ -48,20 +31,7 @@ def by_score(scores: Floats, gradient: Floats, threshold: float, small: Mask, co
              rng: np.random.Generator) -> Mask:
     """Gaussians above a threshold, drawn with probability in proportion to a score (Taming 3DGS).
 
-    Clones and splits share the count in proportion to how many of them are eligible.
-
-    Parameters
-    ----------
-    scores : float[N], at least 0; those of 0 are not chosen.
-    gradient : float[N], mean screen gradients.
-    threshold : the smallest gradient that is eligible.
-    small : bool[N], those that would be cloned, not split.
-    count : how many to choose.
-    rng : draws.
-
-    Returns
-    -------
-    bool[N].
+    Clones (`small`) and splits share the count in proportion to how many of them are eligible.
     """
     eligible = gradient >= threshold
     keys = _drawn_keys(scores, rng)
@@ -75,18 +45,8 @@ def by_score(scores: Floats, gradient: Floats, threshold: float, small: Mask, co
 
 
 def half_of(candidates: Mask, scores: Floats, rng: np.random.Generator) -> Mask:
-    """Half of the candidates, drawn with probability in proportion to 1 / score (Taming 3DGS).
-
-    Parameters
-    ----------
-    candidates : bool[N]; their half is rounded down.
-    scores : float[N]; those of 0 are drawn first.
-    rng : draws.
-
-    Returns
-    -------
-    bool[N].
-    """
+    """Half of the candidates, rounded down, drawn with probability in proportion to 1 / score
+    (Taming 3DGS); those of score 0 are drawn first."""
     weights = 1 / np.maximum(scores, np.finfo(float).tiny)
     keys = np.where(candidates, -_drawn_keys(weights, rng), np.inf)
     return _first(keys, candidates.sum() // 2)

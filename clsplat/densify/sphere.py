@@ -24,13 +24,8 @@ TINY = 1e-18  # a length whose square is too small for single precision is short
 
 
 def with_spheres(gaussians: Gaussians, neighbours: int) -> Gaussians:
-    """Initial gaussians with spheres around their positions.
-
-    Parameters
-    ----------
-    gaussians : on the sparse points.
-    neighbours : max_offset is the mean distance to so many nearest others.
-    """
+    """Initial gaussians, on the sparse points, with spheres around their positions; max_offset is
+    the mean distance to the `neighbours` nearest others."""
     offsets = mean_neighbour_distance(gaussians.positions.astype(np.float64), neighbours)
     return Gaussians({**gaussians.rows, "anchors": gaussians.positions.copy(),
                       "max_offsets": offsets.astype(np.float32)}, gaussians.sh_degree)
@@ -57,14 +52,8 @@ def outside(positions: NDArray[np.float32], anchors: NDArray[np.float32],
 
 def children(parents: dict[str, NDArray[np.float32]], positions: NDArray[np.float32],
              options: GrowthOptions) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The anchors [S, 3] and max_offsets [S] of the children of splits.
-
-    Parameters
-    ----------
-    parents : anchors and max_offsets of each child's parent.
-    positions : float32[S, 3], of the children.
-    options : of the training.
-    """
+    """The anchors [S, 3] and max_offsets [S] of the children of splits, from those of each child's
+    parent and the children's positions float32[S, 3]."""
     anchors = positions if options.sphere_rule == "release" else parents["anchors"]
     return (anchors.astype(np.float32),
             (parents["max_offsets"] * options.sphere_shrink).astype(np.float32))

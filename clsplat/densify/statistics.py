@@ -7,13 +7,8 @@ from clsplat.device import Array, Device
 
 
 class Statistics:
-    """Sums over the views since the last `clear`.
-
-    Attributes
-    ----------
-    grad_norm_sum : real[N], lengths of screen gradients, NDC units.
-    seen_count : uint[N], how many views saw a gaussian.
-    """
+    """Sums over the views since the last `clear`: lengths of screen gradients real[N], NDC units,
+    and how many views saw a gaussian, uint[N]."""
 
     def __init__(self, device: Device, count: int) -> None:
         self.device = device

@@ -14,18 +14,11 @@ COMPARE = Kernel(
 
 def compare_depth(device: Device, depth: Array, transmittance: Array, known: Array, weight: float
                   ) -> tuple[Array, Array, Array]:
-    """The difference of a rendered view's depth from a depth map, and its gradients.
+    """The difference of a view's rendered depth from a depth map, and its gradients.
 
-    Parameters
-    ----------
-    depth, transmittance : real[H, W], rendered.
-    known : real[H, W], depths along the camera's axis, world units; 0: unknown.
-    weight : of the loss.
-
-    Returns
-    -------
-    real[2], the sum of the relative errors and the number of pixels that count; then the gradients
-    of the loss by depth and by transmittance, real[H, W] each.
+    `known` is real[H, W], depths along the camera's axis, world units; 0: unknown. Returns real[2],
+    the sum of the relative errors and the number of pixels that count; then the gradients of the
+    loss by depth and by transmittance, real[H, W] each.
     """
     height, width = depth.shape
     grads = dict(grad_depth=device.empty(depth.shape),

@@ -104,16 +104,10 @@ class Exposures:
                         if self.has_vignetting else None)
 
     def adjoint(self, view: int, camera: Array, image: Array, grad: Array) -> tuple[Array, Array]:
-        """Gradients from those by the photo that the response makes of an image.
+        """Gradients from those (`grad`) by the photo that the response makes of an image real[3, H,
+        W].
 
-        Parameters
-        ----------
-        view, camera : as for `of`.
-        image, grad : real[3, H, W].
-
-        Returns
-        -------
-        real[3, H, W], by the image; real[P, 12 or 15], partial sums of those by the view's
+        Returns real[3, H, W], by the image; real[P, 12 or 15], partial sums of those by the view's
         transform and by the vignetting of its lens.
         """
         device, (_, height, width) = self.device, image.shape
@@ -133,13 +127,8 @@ class Exposures:
     def step(self, view: int, partials: Array, counts: Array) -> None:
         """Take one step of Adam on a view's transform and its lens; does not wait for the device.
 
-        A gradient that is not finite changes nothing, and is counted in `skipped`.
-
-        Parameters
-        ----------
-        view : index of the view.
-        partials : of `adjoint`.
-        counts : uint[FRAME_COUNTS], of the frame; one that has failed changes nothing.
+        `partials` are those of `adjoint`. A gradient that is not finite changes nothing, and is
+        counted in `skipped`; a frame that has failed (`counts`) changes nothing.
         """
         if self.learns:
             self.device.launch(
@@ -175,14 +164,8 @@ class Exposures:
     def between(self, pairs: Sequence[tuple[int, int]]) -> Array:
         """Colour transforms from one view to another, by the last recentred transforms alone.
 
-        Parameters
-        ----------
-        pairs : P pairs (i, j) of views.
-
-        Returns
-        -------
-        real[P, 12], E_i after the inverse of E_j, which takes colours of view j's photo to those of
-        view i's; the identity where E_j is badly conditioned.
+        Returns real[P, 12] for pairs (i, j): E_i after the inverse of E_j, which takes colours of
+        view j's photo to those of view i's; the identity where E_j is badly conditioned.
         """
         maps = np.tile(IDENTITY, (len(pairs), 1, 1))
         for row, (i, j) in enumerate(pairs):

@@ -15,15 +15,9 @@ REGULARISE = Kernel(
 
 def regularise(rows: Mapping[str, Array], gradients: Gradients, opacity_weight: float,
                scale_weight: float) -> None:
-    """Add the gradient of the regularisation to that of a view, in place.
-
-    Parameters
-    ----------
-    rows : field name -> real[N, *row shape].
-    gradients : of a view.
-    opacity_weight : weight of the mean opacity of the gaussians that the view sees.
-    scale_weight : 1 / world unit; weight of the mean of their standard deviations.
-    """
+    """Add the gradient of the regularisation to that of a view, in place: of the mean opacity and
+    the mean standard deviation of the gaussians that it sees; `scale_weight` is in 1 / world
+    unit."""
     fields = gradients.fields
     rows["opacity_logits"].device.launch(
         REGULARISE, opacity_weight=opacity_weight, scale_weight=scale_weight,

@@ -31,20 +31,12 @@ SCALE = Kernel("reproject.cl", "scale_gradients", each("count"), count="uint", w
 
 
 def pack_pairs(device: Device, pairs: Iterable[tuple[Camera, Camera]]) -> Array:
-    """Transforms that take a pixel of one view, at a depth, to a pixel of another.
+    """Transforms real[P, 12] that take a pixel of one view, at a depth, to a pixel of its
+    neighbour.
 
     H = K_j R K_i^-1, row-major, and K_j t, where R and t are from camera i to camera j, and K has
     pixel centres at whole numbers. They are computed in float64, so that a far world origin costs
-    no precision.
-
-    Parameters
-    ----------
-    device : where they are needed.
-    pairs : P pairs (camera, neighbour), at the sizes of the images that are compared.
-
-    Returns
-    -------
-    real[P, 12].
+    no precision. The cameras have the sizes of the images that are compared.
     """
     rows = np.array([_geometry(*pair) for pair in pairs])
     return device.upload(rows.reshape(-1, GEOMETRY_REALS))

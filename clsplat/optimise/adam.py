@@ -70,16 +70,8 @@ def _defines(harmonics: int, degree: int) -> tuple[tuple[str, int], ...]:
 class DeviceAdam:
     """Adam with its moments on the device.
 
-    Parameters
-    ----------
-    device : of the rows.
-    rows : field name -> real[N, *row shape], the parameters.
-    dense : whether rows that a view does not see move, too.
-
-    Attributes
-    ----------
-    steps : the number of the last step.
-    is_current : whether no row lags behind it.
+    `rows` are the parameters, field name -> real[N, *row shape]; `dense`: rows that a view does not
+    see move, too; `steps` is the number of the last step; `is_current`: no row lags behind it.
     """
 
     RECORDS = True  # whether a step can be recorded
@@ -109,13 +101,8 @@ class DeviceAdam:
 
     @staticmethod
     def numbers(step: int, rates: Mapping[str, float]) -> dict[str, float]:
-        """What `catch_up_seen` and `apply` need to know of a step.
-
-        Parameters
-        ----------
-        step : number of the step, from 1.
-        rates : field name -> learning rate.
-        """
+        """What `catch_up_seen` and `apply` need of a step, from 1; `rates` are learning rates by
+        field."""
         first, correction = corrections(step)
         return {"now": step, "before": step - 1, "first": first, "correction": correction,
                 **{f"rate_{field.name}": rates[field.name] * first for field in LEARNED}}
@@ -124,12 +111,8 @@ class DeviceAdam:
                       degree: int, frozen: Array | None, camera: Array, counts: Array) -> None:
         """Move rows that a view may see by the steps in which they had no gradient.
 
-        Parameters
-        ----------
-        rows, numbers, frozen : as for `apply`.
-        degree : of the active harmonics.
-        camera : real[27], packed, of the view.
-        counts : uint[FRAME_COUNTS]; nothing moves once a frame has failed.
+        `camera` is real[27], packed; `degree` that of the active harmonics; nothing moves once a
+        frame has failed (`counts`); the rest is as for `apply`.
         """
         if self.dense:
             self._coast(rows, frozen, camera, True, numbers["before"], degree, counts)
@@ -168,12 +151,7 @@ class DeviceAdam:
                 frozen: Array | None, counts: Array) -> None:
         """Note that a step was enqueued; every CATCH_UP_EVERY-th moves all rows that lag.
 
-        Parameters
-        ----------
-        step : its number.
-        degree : of the active harmonics.
-        rows : returns the rows as they were for `apply`.
-        frozen, counts : as for `catch_up_seen`.
+        `rows` returns the rows as they were for `apply`; the rest is as for `catch_up_seen`.
         """
         self.steps, self._degree, self.is_current = step, degree, not self.dense
         if self.dense and step % CATCH_UP_EVERY == 0:
@@ -233,10 +211,8 @@ class DeviceAdam:
     def regrow(self, source: Array, kept: int) -> None:
         """Rearrange the moments as growth rearranged the rows, which must have caught up.
 
-        Parameters
-        ----------
-        source : uint[M], the old row of each new row.
-        kept : how many rows keep their moments, from the first; the moments of others begin at 0.
+        `source` is uint[M], the old row of each new row; the first `kept` keep their moments, and
+        those of the others begin at 0.
         """
         for moments in (self._m, self._v):
             for name, old in moments.items():

@@ -28,12 +28,7 @@ class BatchMean:
     """Gradients of the mean of the losses of several views, without those by screen means.
 
     The gradient of a gaussian is zero in a view that does not see it, and is left out if it is not
-    finite in one of the views.
-
-    Parameters
-    ----------
-    rows : field name -> real[N, *row shape], the parameters, for their shapes.
-    views : how many views.
+    finite in one of the views. `rows`, the parameters, give the shapes.
     """
 
     def __init__(self, device: Device, rows: Mapping[str, Array], views: int) -> None:
@@ -43,13 +38,8 @@ class BatchMean:
         self._sums = {name: device.zeros(array.shape) for name, array in rows.items()}
 
     def add(self, gradients: Gradients, used: Mapping[str, int]) -> None:
-        """Add the gradients of a view.
-
-        Parameters
-        ----------
-        gradients : of the view.
-        used : field name -> how many floats of a row change; fields of 0 are left out.
-        """
+        """Add the gradients of a view; `used`: how many floats of a field's row change, 0 for
+        none."""
         device, counts = self.device, gradients.counts
         device.launch(MARK, counts=counts, visible=gradients.visible, rows=gradients.rows,
                       flags=self._flags, keys=self._keys)
@@ -63,12 +53,8 @@ class BatchMean:
     def mean(self, counts: Array, used: Mapping[str, int], room: int | None) -> Gradients:
         """The mean of the views that were added; begins the next batch.
 
-        Parameters
-        ----------
-        counts : uint[FRAME_COUNTS], whose COUNT_VISIBLE becomes the number of gaussians that any of
-            the views saw; after a frame that failed, 0.
-        used : as for `add`.
-        room : as for `compact`.
+        COUNT_VISIBLE of `counts` becomes the number of gaussians that any of the views saw; after a
+        frame that failed, 0. `used` is as for `add`, `room` as for `compact`.
         """
         device = self.device
         visible = compact(device, self._flags, counts, room)

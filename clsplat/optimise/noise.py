@@ -15,20 +15,12 @@ NOISE = Kernel(
 
 def add_noise(rows: Mapping[str, Array], amount: float, now: int, seed: int, counts: Array,
               frozen: Array | None = None) -> None:
-    """Move positions at random in place, unless their frame has failed.
+    """Move positions at random in place, unless their frame has failed (`counts`).
 
     Each row moves, whether or not it lags behind the last step (adam.py): a random step and the
-    steps that a row has missed add up in any order.
-
-    Parameters
-    ----------
-    rows : field name -> real[N, *row shape].
-    amount : 1 / world unit; factor of the covariance: the paper's noise rate times the learning
-        rate of the positions.
-    now : number of the step, from 1.
-    seed : of the training; two that differ by a multiple of SEEDS draw the same numbers.
-    counts : uint[FRAME_COUNTS], of the frame.
-    frozen : uint[N], not 0 for rows that stay; None: none does.
+    steps that a row has missed add up in any order. Rows that are not 0 in `frozen`, uint[N], stay.
+    `amount`, 1 / world unit, is the factor of the covariance: the paper's noise rate times the
+    learning rate of the positions. Seeds that differ by a multiple of SEEDS draw the same numbers.
     """
     positions = rows["positions"]
     positions.device.launch(

@@ -24,12 +24,9 @@ from clsplat.rendering.project import Gradients
 
 
 class NumpyAdam:
-    """Adam with its moments in host memory; only gradients and parameters are copied in each step.
+    """Adam with its moments (`m`, `v`) in host memory; a step copies gradients and parameters only.
 
-    Attributes
-    ----------
-    m, v : field name -> moments, of the shape of the parameter.
-    dense : whether rows that a view does not see are updated, too, in the same step.
+    Where it is `dense`, rows that a view does not see are updated, too, in the same step.
     """
 
     RECORDS = False  # whether a step can be recorded: this one waits for the device
@@ -69,13 +66,8 @@ class NumpyAdam:
 
     def apply(self, rows: Mapping[str, Array], gradients: Gradients, numbers: Mapping[str, float],
               used: Mapping[str, int], frozen: Array | None = None) -> None:
-        """As `DeviceAdam.apply`, but waits, and moves all rows where the engine is dense.
-
-        Parameters
-        ----------
-        rows, gradients, numbers, used : as for `DeviceAdam.apply`.
-        frozen : uint[N], not 0 for rows that keep parameters and moments; None: no row does.
-        """
+        """As `DeviceAdam.apply`, but waits, and moves all rows where the engine is dense; `frozen`,
+        uint[N], is not 0 for rows that keep parameters and moments."""
         count, step = len(rows["positions"]), int(numbers["now"])
         seen = gradients.rows.download()
         usable = seen != NO_ROW

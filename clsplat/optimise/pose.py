@@ -37,8 +37,7 @@ class Poses:
 
     Parameters
     ----------
-    device : of the gaussians.
-    cameras : of the views, as they were given.
+    device, cameras : of the gaussians; of the views, as they were given.
     depth : world units; at this distance a turn and a shift by the same number move what is seen by
         as much (`placement.corrections.typical_depth`).
     pull : weight in the loss of half the sum of squares of a view's six numbers.
@@ -66,13 +65,8 @@ class Poses:
         self.corrected = device.zeros(CAMERA_REALS)
 
     def apply(self, view: int, camera: Array) -> Array:
-        """`corrected`, which the next call overwrites on the device.
-
-        Parameters
-        ----------
-        view : index of the view.
-        camera : real[27], its packed camera as it was given, for an image of any size.
-        """
+        """`corrected` for a view's packed camera real[27], as it was given, for an image of any
+        size; the next call overwrites it on the device."""
         self.device.launch(APPLY, view=view, depth=self.depth, camera=camera, poses=self.poses,
                            corrected=self.corrected)
         return self.corrected
@@ -80,14 +74,8 @@ class Poses:
     def step(self, view: int, rate: float, camera: Array, pose_terms: Array, counts: Array) -> None:
         """Take one step of Adam on the pose of a view; does not wait for the device.
 
-        A gradient that is not finite changes nothing, and is counted in `skipped`.
-
-        Parameters
-        ----------
-        view, camera : as for `apply`.
-        rate : learning rate, radians; 0: nothing changes.
-        pose_terms : real[T, 6], of `project_adjoint`.
-        counts : uint[FRAME_COUNTS], of the frame; one that has failed changes nothing.
+        `rate` is in radians, `pose_terms` are real[T, 6] of `project_adjoint`. A gradient that is
+        not finite changes nothing, and is counted in `skipped`; a failed frame changes nothing.
         """
         rows = len(pose_terms)
         blocks = _blocks(rows)
@@ -127,13 +115,8 @@ class Poses:
 
 
 def pose_rate(progress: float, rate: float = RATE) -> float:
-    """The learning rate of poses: 0 in the warm-up, then `rate`, which decays exponentially.
-
-    Parameters
-    ----------
-    progress : of the run, 0 to 1.
-    rate : radians, right after the warm-up.
-    """
+    """The learning rate of poses at a progress of 0 to 1: 0 in the warm-up, then `rate`, radians,
+    which decays exponentially."""
     after = (progress - WARM_UP) / (1 - WARM_UP)
     return float(rate * DECAY**min(1.0, after)) if after >= 0 else 0.0
 

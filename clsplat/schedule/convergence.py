@@ -19,14 +19,8 @@ Samples = Sequence[tuple[int, float]]
 
 @dataclass(frozen=True)
 class Verdict:
-    """The result of a convergence test.
-
-    Attributes
-    ----------
-    slope : growth of the frequency per step; None if there are too few samples.
-    threshold : the slope below which it has converged.
-    converged : whether it has.
-    """
+    """A test's result: the growth of the frequency per step (None: too few samples), the slope
+    below which it has converged, and whether it has."""
 
     slope: float | None
     threshold: float
@@ -34,15 +28,11 @@ class Verdict:
 
 
 def judge(test: str, samples: Samples, rate: float, inverse_distance: float) -> Verdict:
-    """Test whether the scene frequency has converged.
+    """Test ("robust", "paper" or "release") whether the scene frequency has converged.
 
-    Parameters
-    ----------
-    test : "robust", "paper" or "release".
-    samples : (iteration, frequency) of one level, oldest first; values that are not finite are
-        ignored.
-    rate : k, per step.
-    inverse_distance : 1 / world unit; mean(1/d) of the initial cloud, which only `paper` uses.
+    `samples` are (iteration, frequency) of one level, oldest first, and those that are not finite
+    are ignored; `rate` is k, per step; `inverse_distance` is mean(1/d), 1 / world unit, for `paper`
+    only.
     """
     samples = [sample for sample in samples if math.isfinite(sample[1])]
     if test == "paper":

@@ -135,11 +135,7 @@ def resolution_curve(facts: SceneFacts) -> tuple[NDArray[np.float64], NDArray[np
     Training starts at the factor at which a photo's spectrum contains a quarter of its sum, for the
     photo whose factor is smallest, and at no more than 8. What the mean spectrum gains from there
     to full resolution is divided evenly; a share of the gain is reached when its logarithm is.
-
-    Returns
-    -------
-    (times, sharpness), float64[32] or [1] each: shares of the steps until `densify_until`, and
-    1 / factor^2 at them.
+    Returns shares of the steps until `densify_until`, and 1 / factor^2 at them, float64[32] or [1].
     """
     grid = np.arange(BINS + 1) / BINS  # 1 / factor
     total = np.zeros(BINS + 1)
@@ -158,16 +154,8 @@ def resolution_curve(facts: SceneFacts) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def cumulative_spectrum(photo: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Sums of the absolute spectrum of a photo within centred windows of growing size.
-
-    Parameters
-    ----------
-    photo : [3, H, W].
-
-    Returns
-    -------
-    [1025]; element k is the sum within k / 1024 of the width and height of the spectrum.
-    """
+    """Sums [1025] of the absolute spectrum of a photo [3, H, W] within centred windows of growing
+    size; window k has k / 1024 of the width and height of the spectrum."""
     _, height, width = photo.shape
     across, down = np.fft.rfftfreq(width), np.abs(np.fft.fftfreq(height))
     bins = np.ceil(2 * BINS * np.maximum(across, down[:, None])).astype(np.int64).ravel()

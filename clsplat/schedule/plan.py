@@ -293,13 +293,8 @@ def listed(levels: tuple[float, ...]) -> str:
 
 
 def sizes_text(levels: tuple[float, ...], size: tuple[int, int]) -> str:
-    """Image sizes of levels, in words.
-
-    Parameters
-    ----------
-    levels : down-sampling factors, coarse to fine.
-    size : (width, height) at level 1, pixels.
-    """
+    """Image sizes of levels, coarse to fine, in words; `size` is (width, height) at level 1,
+    pixels."""
     sizes = [f"{int(size[0] / level)} x {int(size[1] / level)}" for level in levels]
     return f"{sizes[0]} to {sizes[-1]} pixels" if len(sizes) > 1 else f"{sizes[0]} pixels"
 

@@ -30,12 +30,8 @@ def others() -> dict[str, EntryPoint]:
 
 
 def offered(schedule: type[Schedule]) -> str:
-    """The name under which a class that no package registers is known in this process.
-
-    Parameters
-    ----------
-    schedule : a class of a module; its name in small letters becomes that of the schedule.
-    """
+    """The name, its own in small letters, by which this process finds a class that nobody
+    registers."""
     name, place = schedule.__name__.lower(), f"{schedule.__module__}:{schedule.__qualname__}"
     known = OURS.get(name) or others().get(name)
     if known is None or name not in OURS and known.dist is None:

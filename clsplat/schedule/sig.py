@@ -334,10 +334,7 @@ def level_shares(levels: Sequence[float], together: float | str) -> tuple[float,
     """The share of the run that each of the coarser levels may take, in proportion to its
     resolution.
 
-    Parameters
-    ----------
-    levels : down-sampling factors, from coarse to fine.
-    together : of all coarser levels; auto: the finest, too, has its share in proportion.
+    `together` is that of all coarser levels; auto: the finest, too, has its share in proportion.
     """
     *coarser, finest = (1 / level for level in levels)
     if isinstance(together, str):
@@ -368,21 +365,11 @@ def most_gaussians(options: "ScheduledOptions", facts: SceneFacts, level: float)
 def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
                   candidates: tuple[float, ...] = LEVELS, least: int = SMALLEST_SIDE
                   ) -> tuple[float, ...]:
-    """The down-sampling factors of a training.
+    """The down-sampling factors of a training, for a smallest image of `size` (width, height),
+    pixels.
 
-    The default ones leave out sides below `least`, and the coarsest levels for which there is
-    no time.
-
-    Parameters
-    ----------
-    options : with scaled steps.
-    size : (width, height) of the smallest training image, pixels.
-    candidates : the default ones.
-    least : pixels; less in a block, where the smallest of many windows says little of the others.
-
-    Raises
-    ------
-    InputError : a requested factor would make an image smaller than a tile.
+    The default ones, `candidates`, leave out sides below `least` pixels, and the coarsest levels
+    for which there is no time. InputError if a requested factor makes an image smaller than a tile.
     """
     levels, side = options.levels, min(size)
     if levels:

@@ -23,15 +23,8 @@ PER_PIXEL, SHARP, POWER, SETTLED = 0.009, 0.0125, 3, 0.03
 
 @dataclass(frozen=True)
 class Segment:
-    """A number of consecutive steps that are alike.
-
-    Attributes
-    ----------
-    steps : how many.
-    level : down-sampling factor.
-    gaussians : number of gaussians in the model.
-    regularises : whether the steps compare with source views.
-    """
+    """A number of consecutive steps that are alike; `regularises`: they compare with source
+    views."""
 
     steps: int
     level: float
@@ -40,12 +33,9 @@ class Segment:
 
 
 def simulate(schedule: Schedule, detail: Callable[[float], float] | None = None) -> list[Segment]:
-    """Predict the segments of a whole run.
+    """Predict the segments of a whole run; the simulation changes the state of the schedule.
 
-    Parameters
-    ----------
-    schedule : a new one; the simulation changes its state.
-    detail : level -> `estimate.detail.photo_detail` of it; None: photos are sharp.
+    `detail` is level -> `estimate.detail.photo_detail` of it; None: photos are sharp.
     """
     return [Segment(len(list(steps)), *kind)
             for kind, steps in groupby(_steps(schedule, detail))]

@@ -30,11 +30,6 @@ def planned_steps(options: RunOptions, photos: int) -> tuple[int, str]:
     """The length of a run, before `steps_scale`, and a sentence with the reason.
 
     Few photos are learned in fewer steps than many, and more steps over-fit them.
-
-    Parameters
-    ----------
-    options : those of the run.
-    photos : number of training photos.
     """
     if chooses_steps(options):
         return options.iterations, f"{options.iterations:,}: requested"
@@ -47,18 +42,8 @@ def planned_steps(options: RunOptions, photos: int) -> tuple[int, str]:
 
 def worthwhile_steps(options: ScheduledOptions, facts: SceneFacts, photos: int
                      ) -> tuple[int, int, str]:
-    """The length of a run that takes no more steps than its photos allow, before `steps_scale`.
-
-    Parameters
-    ----------
-    options : those of the run.
-    facts : about its scene.
-    photos : number of training photos.
-
-    Returns
-    -------
-    The length, the most that they allow (0: any number), and a sentence with the reason.
-    """
+    """The length of a run that takes no more steps than its photos allow, before `steps_scale`; the
+    most that they allow (0: any number); and a sentence with the reason."""
     steps, reason = planned_steps(options, photos)
     most, fewer = schedule_of(options.schedule).most_steps(options, facts, photos)
     if not most:
@@ -83,15 +68,10 @@ def scaled_steps(options: Options) -> Options:
 
 
 def laid_over(options: Options, iterations: int) -> Options:
-    """Fit options to a run of another length, of at most MOST_STEPS steps.
+    """Fit options, which `scaled_steps` returned, to a run of at most MOST_STEPS steps.
 
     The end of growth keeps its share of the run; the other step counts shrink with a run of fewer
     than FULL_LENGTH steps.
-
-    Parameters
-    ----------
-    options : those of `scaled_steps`.
-    iterations : the new length.
     """
     iterations = min(iterations, MOST_STEPS)
     until = round(options.densify_until * iterations / options.iterations)
