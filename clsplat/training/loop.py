@@ -38,8 +38,7 @@ from clsplat.training.photos import THREADS, epoch_order, size_note
 from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Clock, Evaluator, Recorder, broken
 from clsplat.training.session import Session
-from clsplat.training.start.prepare import is_stage, prepare
-from clsplat.training.start.scene_checks import find_warnings
+from clsplat.training.start.prepare import find_warnings, is_stage, prepare
 from clsplat.training.step import Measured
 
 SAVE_SECONDS = 30.0  # between checkpoints: so much work a kill may cost

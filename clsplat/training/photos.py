@@ -224,22 +224,11 @@ class Photos:
     next. While a level is trained, the photos of the next are decoded into a store of their own.
     All photos are decoded at the start, so that a damaged one is refused before a run begins.
 
-    Parameters
-    ----------
-    device : of the photos.
-    views : with cameras of the size of level 1.
-    levels : down-sampling factors in the order in which they will come.
-    budget_bytes : limit for photos on the device; None: DEVICE_SHARE of its memory.
-    folder : of the files of decoded photos; None: the system's folder for temporary files.
-    level : the first one to use; 0: levels[0].
-
-    Attributes
-    ----------
-    level, views : the present level, and the views at it.
-    resident : whether the photos of this level stay on the device.
-    ignored : of views that are `weighed`, the cells whose pixels are left out besides those that do
-        not count anyway (parts/outlier_masks.py); None: none were looked for yet.
-    read_seconds : duration of the last change of level.
+    `views` have cameras of the size of level 1; `levels` are down-sampling factors in the order in
+    which they will come, from `level`, or for 0 from the first. `budget_bytes` is the limit for
+    photos on the device; None: DEVICE_SHARE of its memory. `folder` is that of a `PhotoStore`. The
+    attributes `level` and `views` are those at present, `resident` is whether these photos stay on
+    the device, and `read_seconds` is the duration of the last change of level.
     """
 
     def __init__(self, device: Device, views: Sequence[View], levels: Sequence[float] = (1.0,),
@@ -253,6 +242,8 @@ class Photos:
         self._store: PhotoStore | None = None  # of a level that is not resident
         self._next: tuple[float, PhotoStore] | None = None  # (level, its photos)
         self.level = 0.0  # none yet
+        # of views that are `weighed`, the cells whose pixels are left out besides those that do not
+        # count anyway (parts/outlier_masks.py); None: none were looked for yet
         self.ignored: list[Cells] | None = None
         self.use(level or levels[0])
 

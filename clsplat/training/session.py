@@ -39,18 +39,10 @@ AnyPart = TypeVar("AnyPart", bound=Part)
 class Session:
     """The state of a training after `iteration` steps.
 
-    Parameters
-    ----------
-    schedule : decides level and growth; None: the caller does, and gives `photos`.
-    photos : of the training views; None: at the levels of the schedule.
-    folder : where photos wait for their use (`Photos`).
-    level : the level at which training begins; 0: the first one of the schedule.
-
-    Attributes
-    ----------
-    level, cameras : down-sampling factor of the training images, and their packed cameras.
-    options : may be replaced between steps (`lay_over`).
-    start_seconds : that finding the initial gaussians took.
+    The schedule decides level and growth; without one the caller does, and gives `photos`. `folder`
+    and the first `level` are as in `Photos`. The attribute `level` is the down-sampling factor of
+    the training images, `cameras` are their packed cameras, and `options` may be replaced between
+    steps (`lay_over`).
     """
 
     def __init__(self, prepared: PreparedScene, device: Device, gaussians: Gaussians,

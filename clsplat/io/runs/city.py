@@ -133,15 +133,10 @@ class CityFolder:
                     visits: Mapping[str, float] | None = None) -> BlockFolder:
         """Write a block as an ordinary scene folder, with links to photos.
 
-        An existing block is left as it is; InputError if it is of another partition.
-
-        Parameters
-        ----------
-        scene, views : the whole, as `read_scene` returned it, and indices into its views.
-        windows : parts of photos, see `Scene.cropped`.
-        initial : in the scene's frame.
-        exposures, visits : responses of views, and how often these are visited, by name.
-        options, identity : for block.json: of the training; `identity()` and other facts.
+        An existing block is left as it is; InputError if it is of another partition. `scene` is the
+        whole, `views` are indices into its views, `windows` as for `Scene.cropped`, and `initial`
+        gaussians in the scene's frame; `exposures` and `visits` are by the names of views, and
+        `options` and `identity` are written to block.json.
         """
         block = self.block(number)
         record = json.loads(json.dumps({"number": number, **identity, "options": options}))

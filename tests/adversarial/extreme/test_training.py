@@ -11,7 +11,7 @@ from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.training import step
 from clsplat.training.photos import Thumbnails
 from clsplat.training.start.initialise import initial_gaussians
-from clsplat.training.start.scene_checks import find_warnings
+from clsplat.training.start.prepare import find_warnings
 from tests.adversarial.extreme import stiff
 from tests.adversarial.extreme.stiff import CASES, rescaled
 from tests.data.tiny_training import LEVELLED, options_of, records, trained
