@@ -13,16 +13,16 @@ from clsplat.config.option import AUTO, MOST_STEPS, option, options_of, shown_na
 from clsplat.densify.options import GrowthOptions
 from clsplat.errors import InputError
 from clsplat.io.scenes.options import SceneOptions
+from clsplat.loss.options import REGISTERED as PARTS
 from clsplat.loss.options import (
     DepthOptions,
     ExposureOptions,
     ImageLossOptions,
+    PartOptions,
     RegulariseOptions,
     ReprojectOptions,
     RobustOptions,
 )
-from clsplat.loss.registry import REGISTERED as PARTS
-from clsplat.loss.registry import PartOptions
 from clsplat.optimise.options import OptimiseOptions, PoseOptions
 from clsplat.rendering.options import RenderingOptions
 from clsplat.schedule.mcmc import McmcOptions

@@ -24,7 +24,7 @@ from clsplat.config.option import (
 )
 from clsplat.config.toml import table
 from clsplat.errors import InputError
-from clsplat.loss.registry import REGISTERED as PARTS
+from clsplat.loss.options import REGISTERED as PARTS
 from clsplat.options import TrainOptions, from_toml, options_with
 from clsplat.schedule.registry import OURS, others
 

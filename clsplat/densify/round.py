@@ -1,4 +1,9 @@
-"""A round of growth: what a rule is given of the gaussians, and what becomes of its choice."""
+"""A round of growth: what a rule is given of the gaussians, and what becomes of its choice.
+
+Sampling without replacement with probability in proportion to a weight is the choice of the highest
+log weight + Gumbel noise (Efraimidis and Spirakis 2006). Every gaussian has its own draw, so that
+excluding one does not change the draws of the others.
+"""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -9,8 +14,7 @@ from numpy.typing import NDArray
 
 from clsplat.densify.grow import Candidates, plan_growth
 from clsplat.densify.relocate import plan_relocation
-from clsplat.densify.select import above_threshold, by_score, half_of, highest
-from clsplat.schedule.growth import Growth
+from clsplat.schedule.growth import Growth, Round
 
 if TYPE_CHECKING:
     from clsplat.options import ScheduledOptions
@@ -19,7 +23,7 @@ Floats = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 
-class MeasuredRound:
+class MeasuredRound(Round):
     """The `schedule.growth.Round` of a training, which describes its attributes and methods.
 
     `gradient` returns float[N], mean screen gradients in NDC units, and waits for the device;
@@ -36,22 +40,18 @@ class MeasuredRound:
 
     @cached_property
     def prunes(self) -> Mask:
-        """See `Round`."""
         return self._candidates.prunes & ~self.frozen
 
     @cached_property
     def gradient(self) -> Floats:
-        """See `Round`."""
         gradient = self._gradient()
         return np.where(self.frozen, -np.inf, gradient) if self.frozen.any() else gradient
 
     @cached_property
     def scores(self) -> Floats:
-        """See `Round`."""
         return self._scores(self._gradient())
 
     def room(self, target: int | None, count: int) -> int | None:
-        """See `Round`."""
         limit = self.options.max_gaussians
         if limit:
             limit -= int(self.frozen.sum())
@@ -59,29 +59,87 @@ class MeasuredRound:
         return None if target is None else max(0, target - count)
 
     def above_threshold(self, room: int | None = None) -> Mask:
-        """See `Round`."""
         return above_threshold(self.gradient, self.options.grow_threshold, room)
 
     def highest(self, room: int) -> Mask:
-        """See `Round`."""
         return highest(np.where(self.prunes, 0, self.gradient), room)
 
     def by_score(self, room: int, prunes: Mask) -> Mask:
-        """See `Round`."""
         return by_score(np.where(prunes, 0, self.scores), self.gradient,
                         self.options.grow_threshold, self._candidates.is_small, room, self.rng)
 
     def half_of_prunes(self) -> Mask:
-        """See `Round`."""
         return half_of(self.prunes, self.scores, self.rng)
 
     def densify(self, grows: Mask, prunes: Mask | None = None) -> Growth:
-        """See `Round`."""
         return plan_growth(self._candidates, grows, self.prunes if prunes is None else prunes,
                            self.rng)
 
     def relocate(self, added: int) -> Growth:
-        """See `Round`."""
         return plan_relocation(self.rows["opacity_logits"], self.rows["log_scales"],
                                ~self._candidates.visible, self.frozen, added,
                                self.options.prune_opacity, self.rng)
+
+
+def above_threshold(gradient: Floats, threshold: float, room: int | None = None) -> Mask:
+    """The gaussians whose gradient reaches a threshold (3DGS).
+
+    `room` is the largest number to choose, by highest gradient, then by row; None: any number.
+    """
+    mask = gradient >= threshold
+    return mask if room is None else _highest_of(mask, gradient, room)
+
+
+def highest(gradient: Floats, count: int) -> Mask:
+    """The `count` gaussians of the highest gradients above 0 (DashGaussian), among equals the
+    first."""
+    return _highest_of(gradient > 0, gradient, count)
+
+
+def by_score(scores: Floats, gradient: Floats, threshold: float, small: Mask, count: int,
+             rng: np.random.Generator) -> Mask:
+    """Gaussians above a threshold, drawn with probability in proportion to a score (Taming 3DGS).
+
+    Clones (`small`) and splits share the count in proportion to how many of them are eligible.
+    """
+    eligible = gradient >= threshold
+    keys = _drawn_keys(scores, rng)
+    chosen = np.zeros(len(gradient), bool)
+    total, clones = eligible.sum(), (eligible & small).sum()
+    count = max(0, min(count, total))
+    cloned = round(count * clones / total) if total else 0
+    for kind, share in ((small, cloned), (~small, count - cloned)):
+        chosen |= _first(np.where(eligible & kind, -keys, np.inf), share)
+    return chosen & eligible & (scores > 0)
+
+
+def half_of(candidates: Mask, scores: Floats, rng: np.random.Generator) -> Mask:
+    """Half of the candidates, rounded down, drawn with probability in proportion to 1 / score
+    (Taming 3DGS); those of score 0 are drawn first."""
+    weights = 1 / np.maximum(scores, np.finfo(float).tiny)
+    keys = np.where(candidates, -_drawn_keys(weights, rng), np.inf)
+    return _first(keys, candidates.sum() // 2)
+
+
+def _drawn_keys(weights: Floats, rng: np.random.Generator) -> NDArray[np.float64]:
+    with np.errstate(divide="ignore"):
+        keys: NDArray[np.float64] = np.log(weights) + rng.gumbel(size=len(weights))
+    return keys
+
+
+def _highest_of(mask: Mask, gradient: Floats, count: int) -> Mask:
+    """Those of a mask that have its `count` highest gradients, which no other's exceeds."""
+    rows = np.flatnonzero(mask)
+    mask[rows] = _first(-gradient[rows], count)
+    return mask
+
+
+def _first(keys: Floats, count: int) -> Mask:
+    """bool[N]: the `count` lowest keys, among equals the first."""
+    if count <= 0 or count >= len(keys):
+        return np.full(len(keys), count > 0)
+    last = np.partition(keys, count - 1)[count - 1]
+    mask: Mask = keys < last if last == last else ~np.isnan(keys)  # NaN comes last
+    equal = np.flatnonzero(keys == last if last == last else np.isnan(keys))
+    mask[equal[:count - mask.sum()]] = True
+    return mask

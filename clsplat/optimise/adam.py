@@ -31,6 +31,7 @@ from clsplat.rendering.project import FieldGradients, Gradients
 
 LAG = ("last_step", "coefficients", "is_current")  # what checkpoints keep of lazy rows
 HostArrays = dict[str, NDArray[np.floating]]  # field name -> [N, *row shape]
+POSITION_DECAY = 0.01  # share of the rate of positions left at the last step (Kerbl et al. 2023)
 
 SMALL = tuple(field for field in LEARNED if field.name != "sh_rest")  # fields of the small columns
 _SMALL_MOMENTS = dict(m=("real", "N", SMALL_COLUMNS), v=("real", "N", SMALL_COLUMNS))
@@ -55,6 +56,15 @@ CATCH_UP = Kernel(
     frozen=("uint", "F"), **_COEFFICIENTS, **_ROWS)
 CLEAR = Kernel("adam.cl", "adam_clear", each("count"), count="uint", begin="uint", end="uint",
                **_SMALL_MOMENTS)
+
+
+def learning_rates(decay: float, extent: float, opacity_rate: float) -> dict[str, float]:
+    """The learning rate of each field; that of the positions decays exponentially as `decay` goes
+    from 0 to 1, and scales with the extent of the scene, world units, in which positions move."""
+    rates = {field.name: field.rate for field in LEARNED}
+    rates["positions"] *= extent * POSITION_DECAY**decay
+    rates["opacity_logits"] = opacity_rate
+    return rates
 
 
 def corrections(step: int) -> tuple[float, float]:

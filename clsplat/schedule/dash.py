@@ -49,12 +49,10 @@ class Dash(Constant):
 
     @classmethod
     def grows_until(cls, options: ScheduledOptions) -> int:
-        """See `Schedule.grows_until`."""
         return int(GROWS_SHARE * options.iterations)
 
     @classmethod
     def planned_levels(cls, options: ScheduledOptions, facts: SceneFacts) -> tuple[None, str]:
-        """See `Schedule.planned_levels`."""
         return None, "computed from the photos' spectra when training begins"
 
     def __init__(self, options: ScheduledOptions, facts: SceneFacts) -> None:
@@ -119,12 +117,10 @@ class Dash(Constant):
         return [(float(max(1, self._factor(place))), left / AHEAD_POINTS) for place in places]
 
     def state(self) -> dict[str, Any]:
-        """See `Schedule.state`."""
         return {"factor": self.factor, "decay_began": self.decay_began,
                 "final_growth": self.final_growth}
 
     def load(self, state: dict[str, Any]) -> None:
-        """See `Schedule.load`."""
         self.factor, self.decay_began = state["factor"], state["decay_began"]
         self.final_growth = state["final_growth"]
 

@@ -42,12 +42,10 @@ class Mcmc(Schedule):
 
     @classmethod
     def grows_until(cls, options: "ScheduledOptions") -> int:
-        """See `Schedule.grows_until`."""
         return int(GROWS_SHARE * options.iterations)
 
     @classmethod
     def planned_limit(cls, options: "ScheduledOptions", facts: SceneFacts) -> tuple[int, str]:
-        """See `Schedule.planned_limit`."""
         cap = options.max_gaussians or CAP
         return cap, f"{cap:,}: " + ("requested" if options.max_gaussians else "of 3DGS-MCMC")
 
@@ -60,7 +58,6 @@ class Mcmc(Schedule):
             resets_opacity=False, prunes_large=False, decay=self.decay(iteration))
 
     def target(self, iteration: int, count: int, above: int) -> int:
-        """See `Schedule.target`."""
         cap = self.options.max_gaussians or CAP
         return max(count, min(cap, int((1 + self.options.mcmc_growth) * count)))
 

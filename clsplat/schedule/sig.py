@@ -133,7 +133,6 @@ class Sig(Schedule):
     @classmethod
     def planned_levels(cls, options: "ScheduledOptions", facts: SceneFacts
                        ) -> tuple[tuple[float, ...], str]:
-        """See `Schedule.planned_levels`."""
         levels = chosen_levels(options, facts.size)
         sizes = sizes_text(levels, facts.size)
         return levels, (f"{listed(levels)}: requested; {sizes}" if options.levels else
@@ -143,7 +142,6 @@ class Sig(Schedule):
     @classmethod
     def planned_limit(cls, options: "ScheduledOptions", facts: SceneFacts
                       ) -> tuple[int | None, str]:
-        """See `Schedule.planned_limit`."""
         each = pixels_per_gaussian(options, facts)
         if not each:
             return None, "none: requested"
@@ -155,7 +153,6 @@ class Sig(Schedule):
     @classmethod
     def most_steps(cls, options: "ScheduledOptions", facts: SceneFacts, photos: int
                    ) -> tuple[int, str]:
-        """See `Schedule.most_steps`."""
         most = most_steps(options, facts, photos)
         if not most:
             return 0, ""
@@ -223,7 +220,6 @@ class Sig(Schedule):
         return max(1, int(min(max(evenly, min(low, self.allotment / SAMPLES_A_LEVEL)), high)))
 
     def plan(self, iteration: int) -> Plan:
-        """See `Schedule.plan`."""
         o, before = self.options, iteration - 1
         settle = min(o.densify_from, SETTLE_SHARE * self.allotment)
         in_rounds = self._rounds_left(before - self.began) and before < o.densify_until
@@ -322,11 +318,9 @@ class Sig(Schedule):
         self.full, self.samples = False, []
 
     def state(self) -> dict[str, Any]:
-        """See `Schedule.state`."""
         return {name: getattr(self, name) for name in STATE}
 
     def load(self, state: dict[str, Any]) -> None:
-        """See `Schedule.load`."""
         vars(self).update(state)
 
 

@@ -34,11 +34,9 @@ class Taming(Constant):
 
     @classmethod
     def grows_every(cls, options: "ScheduledOptions") -> int:
-        """See `Schedule.grows_every`."""
         return max(STEPS_A_ROUND, options.iterations // ROUNDS)
 
     def target(self, iteration: int, count: int, above: int) -> int:
-        """See `Schedule.target`."""
         o, start = self.options, self.facts.count
         end = o.taming_budget * start
         if o.max_gaussians:

@@ -21,8 +21,8 @@ from clsplat.densify.statistics import Statistics
 from clsplat.device import Array, Graph
 from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.image_loss import is_masked
+from clsplat.optimise.adam import learning_rates
 from clsplat.optimise.batch import BatchMean
-from clsplat.optimise.rates import learning_rates
 from clsplat.options import ScheduledOptions
 from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Gradients

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.densify.select import above_threshold, by_score, half_of, highest
+from clsplat.densify.round import above_threshold, by_score, half_of, highest
 
 GRADIENT = np.array([3.0, 1.0, 2.0, 3.0, 0.5, np.nan, 2.0, 0.0])
 

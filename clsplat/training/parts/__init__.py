@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clsplat.config.plug_in import guarded, overridden
-from clsplat.loss.registry import REGISTERED
+from clsplat.loss.options import REGISTERED
 from clsplat.training.part import Part
 from clsplat.training.parts.depth_maps import DepthMaps
 from clsplat.training.parts.exposures import PhotoResponses
