@@ -1,4 +1,4 @@
-"""The parts that clsplat brings, one in each file, in the order in which a step calls them."""
+"""The parts that clsplat brings, in the order in which a step calls them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from clsplat.training.part import Part
 from clsplat.training.parts.depth_maps import DepthMaps
 from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.parts.image_term import ImageTerm
+from clsplat.training.parts.mcmc import PositionNoise, Regularisers
 from clsplat.training.parts.outlier_masks import OutlierMasks
 from clsplat.training.parts.poses import CameraPoses
-from clsplat.training.parts.position_noise import PositionNoise
-from clsplat.training.parts.regularisers import Regularisers
 from clsplat.training.parts.reprojection import Reprojection
 
 if TYPE_CHECKING:

@@ -1,9 +1,11 @@
-"""Random steps of nearly transparent gaussians, after each step of Adam (3DGS-MCMC)."""
+"""What 3DGS-MCMC adds (Kheradmand et al. 2024): regularisation of the gaussians, and noise."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from clsplat.loss.options import RegulariseOptions
+from clsplat.loss.regularise import regularise
 from clsplat.optimise.noise import add_noise
 from clsplat.training.part import Inputs, Now, Part, TrainingSample, ViewPass
 
@@ -12,8 +14,25 @@ if TYPE_CHECKING:
     from clsplat.training.start.prepare import PreparedScene
 
 
+class Regularisers(Part):
+    """Weights of the mean opacity and of the mean size of the gaussians that a view sees."""
+
+    name = "regularise"
+    Options = RegulariseOptions
+
+    @classmethod
+    def is_used(cls, prepared: PreparedScene) -> bool:
+        return bool(prepared.options.opacity_weight or prepared.options.scale_weight)
+
+    def begin(self, session: Session) -> None:
+        self._weights = session.options.opacity_weight, session.options.scale_weight
+
+    def learn(self, work: ViewPass, inputs: Inputs) -> None:
+        regularise(work.rows, work.gradients, *self._weights)
+
+
 class PositionNoise(Part):
-    """Noise of the positions, in proportion to their learning rate."""
+    """Random steps of nearly transparent gaussians after Adam, in proportion to its rate."""
 
     name = "noise"
 
