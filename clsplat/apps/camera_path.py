@@ -37,6 +37,7 @@ ROUNDING = 1e-9  # of the coordinates: shorter ways are none
 MOST_KEYS = 100_000
 FARTHEST = 1e12  # units: the largest coordinate that a path may have
 ORTHOGONAL = 1e-6  # largest error of a rotation, which `exact_poses` has made exact
+KEYS_A_TURN = 72
 LEAST_STEP = 1e-9  # of a path's time, between two keys
 # of the film over a survey whose photos look down
 LOOKS_DOWN = 45.0  # degrees from the vertical, median of the photos
@@ -191,7 +192,7 @@ def _overflight(scene: Scene, places: NDArray[np.float64], seconds: float) -> Ke
                 np.full(len(views), OBLIQUE_DEGREES))
 
 
-def turntable(scene: Scene, count: int = 72) -> Keys:
+def turntable(scene: Scene) -> Keys:
     """A full turn around the middle of the scene, about its up axis, that looks at the middle.
 
     It is as far away as the photos, and as high as they allow within ELEVATIONS.
@@ -199,7 +200,6 @@ def turntable(scene: Scene, count: int = 72) -> Keys:
     Parameters
     ----------
     scene : with sparse points.
-    count : of keys.
     """
     if not len(scene.points):
         raise InputError(f"{scene.name}: has no points, so its middle is unknown; make a flight or "
@@ -218,11 +218,11 @@ def turntable(scene: Scene, count: int = 72) -> Keys:
     first = level / np.linalg.norm(level)
     second = np.cross(up, first)
     cameras = []
-    for angle in np.linspace(0, 2 * np.pi, count + 1):
+    for angle in np.linspace(0, 2 * np.pi, KEYS_A_TURN + 1):
         out = math.cos(angle) * first + math.sin(angle) * second
         position = middle + radius * (math.cos(elevation) * out + math.sin(elevation) * up)
         cameras.append(Camera.looking_at(middle, position, up=up))
-    return Keys(np.linspace(0, 1, count + 1),
+    return Keys(np.linspace(0, 1, KEYS_A_TURN + 1),
                 _original(scene, np.array([camera.position for camera in cameras])),
                 np.array([camera.rotation for camera in cameras]))
 

@@ -24,7 +24,6 @@ from clsplat.apps.surface import (
     contour_lines,
     filled,
     pits,
-    smoothed,
     write_contours,
 )
 from clsplat.device import Device
@@ -114,7 +113,7 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         phase("writing GeoTIFF files")
         colours.save(folder / ORTHOPHOTO)
         surface.save(folder / SURFACE)
-        _write_preview(folder / PREVIEW, colours, surface, interval, unit)
+        _write_preview(folder / PREVIEW, colours, surface, lines, level, interval, unit)
         if interval:
             _write_contours(folder / CONTOURS, lines, grid, level, crs)
             files.append(CONTOURS)
@@ -214,12 +213,12 @@ def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: 
     write_contours(path, lines, to_place, digits)
 
 
-def _write_preview(path: Path, colours: Raster, surface: Raster, interval: float, unit: str
-                   ) -> None:
+def _write_preview(path: Path, colours: Raster, surface: Raster, lines: list[ContourLine],
+                   level_of_lines: int, interval: float, unit: str) -> None:
     level = surface.level(PREVIEW_SIDE)
-    heights = surface.whole(level)[..., 0]
     with replacing(path) as file:
-        write_preview(file, colours.whole(level), heights, smoothed(heights),
+        write_preview(file, colours.whole(level), surface.whole(level)[..., 0],
+                      [line * 2.0**(level_of_lines - level) for _, line in lines],
                       surface.grid.resolution * 2**level, interval, unit)
 
 

@@ -78,7 +78,7 @@ def filled(values: NDArray[np.floating], known: Mask, most: int
     return np.where((after & ~known)[..., None], smooth, values), after
 
 
-def smoothed(heights: Heights) -> NDArray[np.float64]:
+def _smoothed(heights: Heights) -> NDArray[np.float64]:
     """Heights [H, W] after a Gaussian filter that leaves out those that are nan."""
     known = ~np.isnan(heights)
     weight = gaussian_filter(known.astype(np.float64), SMOOTHING)
@@ -119,7 +119,7 @@ def contour_lines(heights: Heights, interval: float) -> list[ContourLine]:
         raise InputError(f"--contours {interval:g}: about {count:.3g} lines; give a larger "
                          f"interval, at most {MOST_LINES:,} are drawn")
     generator = contourpy.contour_generator(
-        z=np.ma.masked_array(smoothed(heights), mask=~known))
+        z=np.ma.masked_array(_smoothed(heights), mask=~known))
     return [(number * interval, np.asarray(line) + 0.5)
             for number in range(math.ceil(low / interval), math.floor(high / interval) + 1)
             for line in generator.lines(number * interval) if len(line) >= SHORTEST]

@@ -229,7 +229,7 @@ class ViewMemory:
 
     Attributes
     ----------
-    photos : bytes of the photos, or if these are read at each use of the largest one.
+    nbytes : of all photos; if they are read at each use, of the largest one.
     resident : whether the photos stay on the device.
     """
 

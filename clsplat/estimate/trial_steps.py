@@ -101,14 +101,14 @@ def trial_session(prepared: PreparedScene, device: Device, gaussians: Gaussians,
                    photos=SizedPhotos(device, prepared.train_views, level))
 
 
-def sampled(scene: Scene, count: int, sh_degree: int, seed: int = 0) -> Gaussians:
+def sampled(scene: Scene, count: int, sh_degree: int) -> Gaussians:
     """Sample `count` gaussians that resemble a model after growth.
 
     These are the sparse points, or some of them, and more points within half their distance to each
     other. Sizes follow the distances.
     """
     points, colours = scene.points, scene.colours
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     if count < len(points):
         chosen = rng.choice(len(points), count, replace=False)
         points, colours = points[chosen], colours[chosen]

@@ -114,11 +114,11 @@ class Poses:
             getattr(self, name).write(arrays[name])
 
 
-def pose_rate(progress: float, rate: float = RATE) -> float:
-    """The learning rate of poses at a progress of 0 to 1: 0 in the warm-up, then `rate`, radians,
+def pose_rate(progress: float) -> float:
+    """The learning rate of poses at a progress of 0 to 1: 0 in the warm-up, then RATE, radians,
     which decays exponentially."""
     after = (progress - WARM_UP) / (1 - WARM_UP)
-    return float(rate * DECAY**min(1.0, after)) if after >= 0 else 0.0
+    return float(RATE * DECAY**min(1.0, after)) if after >= 0 else 0.0
 
 
 def _blocks(rows: int) -> int:

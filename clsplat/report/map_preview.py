@@ -1,35 +1,39 @@
 """The preview of a map: its orthophoto, and its surface shaded with contour lines."""
 
+from collections.abc import Iterable
 from typing import Any, BinaryIO
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
 from matplotlib.colors import LightSource, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from clsplat.report.charts import own_settings
 
-DPI = 100
+DPI = 200  # at which letters can be read in so large a picture
 SUN = 315, 45  # degrees, azimuth and elevation: from the north-west, as maps are shaded
 # colours of the lowest, of the middle and of the highest ground
 TINTS = LinearSegmentedColormap.from_list("heights", ["#5c8c6b", "#ded19e", "#ede8e6"])
 
 
 def write_preview(file: BinaryIO, colours: NDArray[np.uint8], heights: NDArray[np.floating],
-                  smooth: NDArray[np.floating], size: float, interval: float, unit: str) -> None:
+                  lines: Iterable[NDArray[np.float64]], size: float, interval: float, unit: str
+                  ) -> None:
     """Write a PNG with scales of length and height to a binary file.
 
     Parameters
     ----------
     colours : [H, W, 4], red, green, blue and alpha.
-    heights, smooth : [H, W], map units, and the same smoothed; nan: unknown, white.
+    heights : [H, W], map units; nan: unknown, white.
+    lines : contour lines, (column, row) [N, 2] each; the centre of the first pixel is (0.5, 0.5).
     size : of a pixel, map units.
     interval : between contour lines, map units; 0: none.
     unit : of the map.
     """
     known = np.isfinite(heights)
-    low, high = np.nanquantile(smooth, (0.02, 0.98))
+    low, high = np.nanquantile(heights, (0.02, 0.98))
     norm = Normalize(low, max(high, low + 1e-9))
     shaded: Any = TINTS(norm(np.where(known, heights, low)))[..., :3]
     if min(heights.shape) > 1:
@@ -46,11 +50,10 @@ def write_preview(file: BinaryIO, colours: NDArray[np.uint8], heights: NDArray[n
         photo.set(xlabel=unit, ylabel=unit)
         surface.imshow(shaded, extent=extent)
         surface.set(xlabel=unit)
-        lines = f"; a line each {interval:g}" if interval else ""
+        drawn = f"; a line each {interval:g}" if interval else ""
         figure.colorbar(ScalarMappable(norm, TINTS), ax=surface, shrink=0.6,
-                        label=f"height, {unit}{lines}")
-        if interval and min(heights.shape) > 1:
-            levels = np.arange(np.ceil(low / interval), high / interval) * interval
-            surface.contour(smooth, levels, extent=extent, origin="upper", colors="black",
-                            linestyles="solid", linewidths=0.6, alpha=0.6)
+                        label=f"height, {unit}{drawn}")
+        surface.add_collection(LineCollection(
+            [(0.0, extent[3]) + line * (size, -size) for line in lines], colors="black",
+            linewidths=0.4, alpha=0.6), autolim=False)
         figure.savefig(file, format="png")

@@ -38,6 +38,7 @@ LOWEST_GROUND = -30.0  # metres; hardly any land lies lower
 UNKNOWN_STD = 3.0  # metres, of GPS that does not state it, among photos that do
 UTM_LATITUDES = (-80.0, 84.0)  # degrees
 FOOT = 0.3048
+SHOWN = 5  # names in a sentence
 FARTHEST = 1000.0  # metres from the photos' GPS to where control points place them
 ELLIPSOIDAL = "the photos' GPS altitudes, above the ellipsoid"
 SEA_LEVEL = "the photos' GPS altitudes, nominally above sea level"
@@ -287,10 +288,10 @@ def require_near_gps(result: Alignment, images: Sequence[Any],
             "their GPS: is it the right CRS, and are x and y exchanged?")
 
 
-def _listed(names: Sequence[str], shown: int = 5) -> str:
+def _listed(names: Sequence[str]) -> str:
     """Some names, and how many others there are."""
-    rest = len(names) - shown
-    return ", ".join(names[:shown]) + (f" and {rest} others" if rest > 0 else "")
+    rest = len(names) - SHOWN
+    return ", ".join(names[:SHOWN]) + (f" and {rest} others" if rest > 0 else "")
 
 
 def _believed(measured: _Measured, known_up: Vertical, is_control: bool) -> Alignment:
