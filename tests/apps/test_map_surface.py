@@ -10,9 +10,11 @@ import rasterio
 import rasterio.shutil
 import tifffile
 
+from clsplat.apps import map as map_module
 from clsplat.apps.geotiff import Raster, check_crs
 from clsplat.apps.map import write_map
 from clsplat.apps.map_grid import TILE, MapGrid, map_grid
+from clsplat.apps.surface import contour_lines
 from clsplat.gaussians import Gaussians
 from clsplat.io.georeference.crs import scene_crs
 from clsplat.options import TrainOptions
@@ -140,3 +142,31 @@ def test_the_extent_is_that_of_all_that_is_covered(item_device, tmp_path):
     middle = made.OFFSET[:2]
     assert abs(np.array([left, bottom, right, top]) - [*(middle - 12), *(middle + 12)]).max() < 1
     assert record["covered"] > 0.9 and (rasters(tmp_path)[0][..., 3] == 0).any(axis=1).all()
+
+
+def test_contour_lines_lie_where_a_slope_has_their_height():
+    heights = np.tile(np.arange(60) + 0.5, (50, 1))  # at the centre of a column, its place
+    lines = contour_lines(heights, 10.0)
+    assert [height for height, _ in lines] == [10, 20, 30, 40, 50]
+    for height, line in lines:
+        assert np.abs(line[:, 0] - height).max() < 0.05 and np.ptp(line[:, 1]) > 45
+
+
+@pytest.mark.slow
+def test_the_preview_has_the_lines_of_the_file(item_device, tmp_path, monkeypatch):
+    """Of a coarser picture: lines are in its pixels."""
+    shown = {}
+
+    def write(file, colours, heights, lines, size, interval, unit):
+        shown.update(shape=heights.shape, lines=lines, size=size)
+
+    monkeypatch.setattr(map_module, "write_preview", write)
+    monkeypatch.setattr(map_module, "PREVIEW_SIDE", 700)
+    scene = made.scene(None)
+    grid = map_grid(scene, 0.02)
+    write_map(run_of(tmp_path, scene), scene, grid, item_device, tmp_path, interval=1.0)
+    assert max(shown["shape"]) <= 700 and shown["size"] == 0.04
+    house = grid.pixels(made.OFFSET[None])[0] * grid.resolution / shown["size"]
+    middles = [(line.min(axis=0) + line.max(axis=0)) / 2 for line in shown["lines"]]
+    assert min(np.abs(middle - house).max() for middle in middles) < 2
+    assert (np.concatenate(shown["lines"]).max(axis=0) <= shown["shape"][::-1]).all()

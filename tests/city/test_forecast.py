@@ -150,4 +150,8 @@ def test_what_ten_times_the_photos_take():
     assert int(table.rows[0][4].replace(",", "")) == pytest.approx(4 * limit, abs=4)
     assert hours(table)[0] == pytest.approx(2.25 * one, abs=0.006)
     table = scale_table(planned, forecast, device, [200], None, 4)
+    assert large[1:2] == scale_table(planned, forecast, device, [2000], None, 4).rows[0][1:2]
+    rounds = -(-int(large[1]) // 4)  # of blocks on four devices, after the coarse run
+    assert hours(scale_table(planned, forecast, device, [2000], None, 4))[1] == pytest.approx(
+        20 * (0.25 + 2 * rounds / int(large[1])), abs=0.006)
     assert table.rows[0][1] == "4" and hours(table) == pytest.approx([4.5, 0.5 + 1], abs=0.006)

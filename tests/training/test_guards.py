@@ -158,6 +158,24 @@ def test_too_many_end_the_run_and_keep_the_last_checkpoint(train, poison):
 
 
 @pytest.mark.slow
+def test_how_many_are_too_many(train, poison, monkeypatch):
+    """The limit is a share of the gradients asked for: just below it the run goes on."""
+    poison(13, 13)
+    with pytest.raises(InputError) as caught:
+        train()
+    many, asked = (int(word.replace(",", "")) for word in
+                   str(caught.value).partition(": ")[2].split()[0:3:2])
+    assert 0 < many < asked and recorder.TOO_MANY == 0.01
+    monkeypatch.setattr(recorder, "TOO_MANY", many / asked)
+    poison(13, 13)
+    assert train("below").has_model
+    monkeypatch.setattr(recorder, "TOO_MANY", 0.999 * many / asked)
+    poison(13, 13)
+    with pytest.raises(InputError):
+        train("above")
+
+
+@pytest.mark.slow
 def test_spoilt_parameters_are_not_saved(train, monkeypatch):
     """A nan that came from elsewhere, behind step 15."""
     follow = step.Step.densify

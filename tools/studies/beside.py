@@ -30,7 +30,8 @@ def trained(checkout, scene, seed, flags):
         run, begin = Path(folder) / "run", time.perf_counter()
         subprocess.run([sys.executable, "-m", "clsplat", "train", scene.resolve(), "-o", run, "-q",
                         "--seed", str(seed), *flags], check=True, cwd=folder,
-                       env={**os.environ, "PYTHONPATH": str(checkout.resolve())})
+                       env={**os.environ, "PYTHONPATH": os.pathsep.join(  # the packages stay
+                           [str(checkout.resolve()), os.environ.get("PYTHONPATH", "")])})
         process = time.perf_counter() - begin
         evaluation = [each for each in RunFolder(run).records() if each["event"] == "eval"][-1]
         model = read_ply(run / "point_cloud.ply")

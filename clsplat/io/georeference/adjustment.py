@@ -128,7 +128,7 @@ def intersection(origins: NDArray[np.float64], directions: NDArray[np.float64],
                             (towards * directions).sum(axis=1))
         worst = int(np.argmax(np.where(used, misses, -1.0)))
         if misses[worst] <= tolerance:
-            return (point, used) if misses[worst] < np.pi / 2 else None
+            return point, used
         used[worst] = False
     return None
 
