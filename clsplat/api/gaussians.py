@@ -29,9 +29,8 @@ class Gaussians(gaussians.Gaussians):
 
         Parameters
         ----------
-        path : a file of gaussians, by its suffix .ply, .compressed.ply, .sog, .spz, .splat or .glb,
-            or of points, .ply, .las or .laz, which become the gaussians that a training starts
-            from.
+        path : a file of gaussians, by its suffix .ply, .sog, .spz or .glb, or of points, .ply, .las
+            or .laz, which become the gaussians that a training starts from.
 
         Raises
         ------

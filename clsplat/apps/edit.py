@@ -19,7 +19,7 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.crs import conversion
 from clsplat.io.georeference.geojson import DEGREES, read_polygons
-from clsplat.io.models.formats import is_model, read_with_notes
+from clsplat.io.models.formats import read_with_notes
 from clsplat.io.models.values import MIP
 from clsplat.io.scenes.read import read_scene
 from clsplat.partition.region import map_axes
@@ -58,7 +58,7 @@ class Source:
     @classmethod
     def open(cls, path: Path) -> Source:
         """Read the model of a run's folder or of a file; InputError if it cannot be read."""
-        if not is_model(path):
+        if path.is_dir():
             run = Run.open(path)
             model = shown(run.finished_model, path).without_spheres()
             return cls(path, model, run.georeference, run.known_up, run.options.antialiased, run)

@@ -94,9 +94,9 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
     from clsplat.device import choose_device
     from clsplat.edit.decimate import decimated
     from clsplat.edit.select import neighbours, used_sh_degree
-    from clsplat.io.models.formats import write_model, written_format
+    from clsplat.io.models.formats import format_of, write_model
     from clsplat.io.models.values import opacities
-    written_format(output)
+    format_of(output)
     check_free(output, overwrite)
     if outside and not (box or polygon):
         raise InputError("--outside: has no effect without --box or --polygon")

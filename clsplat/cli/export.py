@@ -39,12 +39,12 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
     from clsplat.cli.progress import Progress
     from clsplat.edit.select import alive, selected, used_sh_degree
     from clsplat.evaluation.run import Run
-    from clsplat.io.models.formats import written_format
+    from clsplat.io.models.formats import format_of
     from clsplat.report.model_page import write_run_page
     is_page, is_folder = output.suffix.lower() == ".html", not output.suffix
     if upright and (is_page or is_folder):
         raise InputError("--upright: pages and 3D Tiles are upright; leave it out")
-    has_harmonics = is_page or is_folder or written_format(output).harmonics
+    has_harmonics = is_page or is_folder or format_of(output).harmonics
     if everything and not is_page:
         raise InputError("--everything: is for pages, other formats have all; leave it out")
     opened = Run.open(run)

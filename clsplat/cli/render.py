@@ -34,9 +34,8 @@ def render(ctx: click.Context, /, model: Path, scene: Path | None, output: Path,
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run, open_tree, scene_of_views, streaming_of, to_render
     from clsplat.evaluation.views import opened, render_view, render_views
-    from clsplat.io.models.formats import is_model
     check_streaming(ctx, lod)
-    run = Run.open(model) if lod or not is_model(model) else None
+    run = Run.open(model) if lod or model.is_dir() else None
     streaming = run and streaming_of(run, lod, lod_bias, host_memory)
     if run and streaming:
         options = run.options

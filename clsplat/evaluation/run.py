@@ -16,7 +16,7 @@ from clsplat.evaluation.views import opened
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.files import placed, read_georeference, read_orientation
-from clsplat.io.models.formats import is_model, read_with_notes
+from clsplat.io.models.formats import read_with_notes
 from clsplat.io.models.tree import TREE, Tree
 from clsplat.io.photos.undistort import undistorted
 from clsplat.io.runs.learned import read_poses
@@ -56,7 +56,7 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
     ------
     clsplat.ClsplatError : the run is not finished, or a file is given without a scene.
     """
-    if not is_model(path):
+    if path.is_dir():
         run = Run.open(path)
         options, model, scene = run.options, run.finished_model, scene_of_views(run, scene_path)
     elif scene_path is None:

@@ -23,7 +23,7 @@ def test_masks_beside_photos(name):
 
 @pytest.mark.parametrize("name, count", [
     ("ply/inf_opacity.ply", 50), ("ply/neginf_scale.ply", 50), ("ply/nan2.ply", 48),
-    ("sog_v2_folder", 50), ("sog_v2_folder/meta.json", 50), ("sog2_dir.sog", 50)])
+    ("sog2_dir.sog", 50)])
 def test_models(name, count):
     model = read_model(CASES / name)
     assert model.count == count

@@ -1,6 +1,6 @@
 """Models in files of every format: the suffix of a name selects the format."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,27 +11,18 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.models.gltf import read_glb, write_glb
-from clsplat.io.models.ply import gaussians_of, read_elements, read_vertices, write_ply
+from clsplat.io.models.ply import gaussians_of, read_vertices, write_ply
 from clsplat.io.models.points import is_cloud, ply_cloud, read_las, write_las
-from clsplat.io.models.read_only import compressed_gaussians, is_compressed, read_splat
-from clsplat.io.models.sog import is_unbundled, read_sog, write_sog
+from clsplat.io.models.sog import read_sog, write_sog
 from clsplat.io.models.spz import read_spz, write_spz
 from clsplat.io.models.values import Notes
 
 
 def _read_ply(path: Path, offset: NDArray[np.float64] | None) -> tuple[Gaussians, Notes]:
-    """Whatever a PLY holds: gaussians, compressed gaussians or points."""
-    elements, comments = read_elements(path)
-    vertices = elements.get("vertex")
-    if vertices is None:
-        raise InputError(f"{path}: not a PLY of gaussians or points: it has no vertices; "
-                         "give one that a gaussian splatting program wrote")
-    if is_compressed(elements):
-        found = compressed_gaussians(path, elements, comments, offset)
-    elif is_cloud(vertices):
-        found = ply_cloud(path, vertices, offset)
-    else:
-        found = gaussians_of(path, vertices, comments, offset)
+    """Whatever a PLY holds: gaussians or points."""
+    vertices, comments = read_vertices(path)
+    found = (ply_cloud(path, vertices, offset) if is_cloud(vertices) else
+             gaussians_of(path, vertices, comments, offset))
     return found, Notes.of_lines(comments)
 
 
@@ -41,16 +32,15 @@ class Format(NamedTuple):
     what: str
     # called with a path, an offset, and if it has map coordinates with the CRS of the scene
     read: Callable[..., tuple[Gaussians, Notes]]
-    write: Callable[[Path, Gaussians, Notes], None] | None = None  # None: it is only read
+    write: Callable[[Path, Gaussians, Notes], None]
     harmonics: bool = True  # above the constant
     map_coordinates: bool = False  # in files of a georeferenced scene
 
 
-PLY = Format("the format of Kerbl et al. 2023, which splat viewers open", _read_ply,
-             lambda path, gaussians, notes: write_ply(path, gaussians, gaussians.offset,
-                                                      notes.lines))
 FORMATS = {
-    ".ply": PLY,
+    ".ply": Format("the format of Kerbl et al. 2023, which splat viewers open", _read_ply,
+                   lambda path, gaussians, notes: write_ply(path, gaussians, gaussians.offset,
+                                                            notes.lines)),
     ".sog": Format("the format of PlayCanvas, the smallest", read_sog, write_sog),
     ".spz": Format("the format of Niantic, small", read_spz, write_spz),
     ".glb": Format("glTF with KHR_gaussian_splatting", read_glb, write_glb),
@@ -59,10 +49,6 @@ FORMATS = {
     ".las": Format("points for maps", read_las, write_las, harmonics=False, map_coordinates=True),
 }
 SUFFIXES = tuple(FORMATS)
-# formats of earlier years, or of other programs, which are read only; a longer suffix stands before
-# the one with which it ends
-READ = {".compressed.ply": PLY._replace(what="the format of SuperSplat", write=None), **FORMATS,
-        ".splat": Format("of antimatter15's viewer", read_splat)}
 
 
 def read_model(path: str | Path, offset: ArrayLike | None = None,
@@ -80,7 +66,7 @@ def read_with_notes(path: str | Path, offset: ArrayLike | None = None,
 
     Parameters
     ----------
-    path : a file with a suffix of READ, or SOG in a folder: that, or its meta.json.
+    path : a file with one of SUFFIXES.
     offset : float64[3], original coordinates of the origin of the local ones; None: the one that
         the file records.
     georeference : of the scene for which it is read: LAS and LAZ hold map coordinates, which
@@ -90,7 +76,7 @@ def read_with_notes(path: str | Path, offset: ArrayLike | None = None,
     ------
     InputError : the suffix is unknown, or the file is missing, damaged or of another format.
     """
-    path, kind = Path(path), _stored_format(path)
+    path, kind = Path(path), format_of(path)
     local = None if offset is None else np.asarray(offset, np.float64)
     if kind.map_coordinates and georeference is not None:
         origin = np.asarray(georeference.offset, np.float64)
@@ -104,7 +90,7 @@ def count_of(path: str | Path) -> int:
 
     Of a PLY only the header is read, unless its rows are text.
     """
-    path, kind = Path(path), _stored_format(path)
+    path, kind = Path(path), format_of(path)
     if kind.read is _read_ply:
         return int(read_vertices(path)[0].count)
     return kind.read(path, None)[0].count
@@ -124,39 +110,18 @@ def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] 
 
     Raises
     ------
-    InputError : the suffix is unknown or read only, the format cannot hold these gaussians, or the
-        file cannot be written.
+    InputError : the suffix is unknown, the format cannot hold these gaussians, or the file cannot
+        be written.
     """
     path = Path(path)
     notes = Notes(tuple(comments), None if up is None else np.asarray(up, np.float64), georeference)
-    write = written_format(path).write
-    assert write is not None
-    write(path, gaussians, notes)
+    format_of(path).write(path, gaussians, notes)
 
 
-def is_model(path: str | Path) -> bool:
-    """Whether a path is one that `read_model` may read; else it is a run's folder."""
-    path = Path(path)
-    return not path.is_dir() or is_unbundled(path)
-
-
-def written_format(path: str | Path) -> Format:
-    """The format of a file that is written; InputError if its suffix is unknown or read only."""
-    if Path(path).name.lower().endswith(".compressed.ply"):
-        raise InputError(f"{path}: compressed PLY is only read; write .sog or .spz, which are "
-                         "smaller, or .ply")
-    return _format_of(path, FORMATS)
-
-
-def _stored_format(path: str | Path) -> Format:
-    """The format of a file that is read."""
-    return FORMATS[".sog"] if is_unbundled(Path(path)) else _format_of(path, READ)
-
-
-def _format_of(path: str | Path, formats: Mapping[str, Format]) -> Format:
-    name = Path(path).name.lower()
-    for suffix, kind in formats.items():
-        if name.endswith(suffix):
-            return kind
-    known = "; ".join(f"{suffix} ({kind.what})" for suffix, kind in formats.items())
-    raise InputError(f"{path}: unknown suffix '{Path(path).suffix}'; known: {known}")
+def format_of(path: str | Path) -> Format:
+    """The format that the suffix of a file selects; InputError if it is unknown."""
+    found = FORMATS.get(Path(path).suffix.lower())
+    if found is None:
+        known = "; ".join(f"{suffix} ({kind.what})" for suffix, kind in FORMATS.items())
+        raise InputError(f"{path}: unknown suffix '{Path(path).suffix}'; known: {known}")
+    return found

@@ -23,7 +23,8 @@ HEADER_BYTES = 1 << 20  # at most
 ASCII_FORMAT = re.compile(rb"[\r\n]format\s+ascii\b")
 END_HEADER = re.compile(rb"[\r\n]end_header(?=[\r\n]|$)")
 PLACES = ("positions", "anchors")  # fields in world coordinates, which the offset moves
-NOT_GAUSSIANS = "{}: not a PLY of gaussians: {}; give one that a gaussian splatting program wrote"
+NOT_GAUSSIANS = ("{}: not a PLY of gaussians or points: {}; give one that a gaussian splatting "
+                 "program wrote, not compressed")
 # what was subtracted from the positions of this model, which the file's positions contain; older
 # versions of clsplat called it offset, and readers were tempted to add it
 CENTRE = "positions are centred near"
@@ -139,18 +140,11 @@ def _columns(degree: int, fields: Iterable[Field]) -> dict[str, tuple[str, tuple
 
 def read_vertices(path: str | Path) -> tuple[plyfile.PlyElement, tuple[str, ...]]:
     """Read the vertices of a PLY file and its comments; InputError if it has none."""
-    elements, comments = read_elements(path)
-    if "vertex" not in elements:
-        raise InputError(NOT_GAUSSIANS.format(path, "it has no vertices"))
-    return elements["vertex"], comments
-
-
-def read_elements(path: str | Path) -> tuple[dict[str, plyfile.PlyElement], tuple[str, ...]]:
-    """Read the elements of a PLY file by name, and its comments."""
     with reading(path, "a PLY"), open_regular(path) as file:
         ply = plyfile.PlyData.read(_checked(file))
-        return ({element.name: element for element in ply.elements},
-                (*ply.comments, *(line for element in ply.elements for line in element.comments)))
+    if "vertex" not in ply:
+        raise InputError(NOT_GAUSSIANS.format(path, "it has no vertices"))
+    return ply["vertex"], (*ply.comments, *(line for each in ply for line in each.comments))
 
 
 def _checked(file: io.BufferedReader) -> io.BufferedIOBase:

@@ -1,7 +1,5 @@
 """Gaussians as SOG, the format of PlayCanvas: lossless WebP textures in a zip, version 2.
 
-The textures may also lie in a folder, beside meta.json.
-
 Each gaussian is a pixel of every texture. Positions have 16 bits a coordinate, on a scale that is
 logarithmic far from the origin; log scales, colours and harmonics are numbers of a codebook of 256;
 the harmonics of all gaussians are chosen from a palette.
@@ -9,8 +7,7 @@ the harmonics of all gaussians are chosen from a palette.
 
 import json
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -42,7 +39,6 @@ from clsplat.io.models.values import (
 from clsplat.io.photos.images import encode_image
 from clsplat.io.photos.photo import reason_of, temporary_file
 from clsplat.io.records import object_of
-from clsplat.io.regular import read_regular
 from clsplat.io.unpack import check_expansion, check_rows, opened_archive
 
 META, ORIGIN, KIND = "meta.json", "clsplat_origin", "a SOG file of version 2"
@@ -104,15 +100,22 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
             archive.writestr(zipfile.ZipInfo(name, DATE), encode_webp(texture))
 
 
-def is_unbundled(path: Path) -> bool:
-    """Whether a path is that of a folder with textures, or of its meta.json."""
-    return path.name.lower() == META or (path / META).is_file()
-
-
 def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, Notes]:
-    """Read a SOG file, or a folder; see `models.read_with_notes`."""
-    with reading(path, KIND), _opened(path) as read:
-        meta = _meta(path, read)
+    """Read a SOG file; see `models.read_with_notes`."""
+    with reading(path, KIND), opened_archive(path) as (archive, members):
+        folder = min((name for name in members if PurePosixPath(name).name == META), key=len,
+                     default=META).removesuffix(META)  # some programs zip their folder
+
+        def read(name: str) -> bytes:
+            member = members[folder + name]
+            with archive.open(member) as stream:
+                return stream.read(member.file_size + 1)
+
+        meta = object_of(read(META))
+        version = meta.get("version", 1)
+        if version != 2:
+            raise InputError(f"{path}: SOG of version {str(version)[:20]}, which is not read; "
+                             "write version 2, as splat-transform does, or a PLY")
         count = meta["count"]
         if type(count) is not int or count < 0:
             raise ValueError("count is not a number of gaussians")
@@ -138,43 +141,6 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
         origin = np.array(meta.get(ORIGIN, (0, 0, 0)), np.float64).reshape(3)
         return (gaussians_of(path, rows, origin, offset),
                 Notes((MIP,) if meta.get("antialias") else ()))
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Callable[[str], bytes]]:
-    """A function that reads a part by its name: a member of the zip, which may all be in one of its
-    folders, or a file beside meta.json."""
-    if is_unbundled(path):
-        folder = path if path.is_dir() else path.parent
-        yield lambda name: read_regular(folder / _plain(name))
-        return
-    with opened_archive(path) as (archive, members):
-        found = min((name for name in members if PurePosixPath(name).name == META), key=len,
-                    default=META)
-
-        def read(name: str) -> bytes:
-            member = members[found.removesuffix(META) + name]
-            with archive.open(member) as stream:
-                return stream.read(member.file_size + 1)
-
-        yield read
-
-
-def _plain(name: object) -> str:
-    """The name of a file, which has no folder."""
-    if not isinstance(name, str) or "\0" in name or name in ("", "..") or (
-            PurePosixPath(name).name != name):
-        raise ValueError(f"{str(name)[:40]!r} is not the name of a texture")
-    return name
-
-
-def _meta(path: Path, read: Callable[[str], bytes]) -> dict[str, Any]:
-    meta = object_of(read(META))
-    version = meta.get("version", 1)
-    if version != 2:
-        raise InputError(f"{path}: SOG of version {str(version)[:20]}, which is not read; write "
-                         "version 2, as splat-transform does, or a PLY")
-    return meta
 
 
 def _files(meta: dict[str, Any], part: str, number: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""Gaussians as SPZ, the compressed format of Niantic: version 3 is written, 1 to 4 are read.
+"""Gaussians as SPZ, the compressed format of Niantic: version 3 is written, 2 to 4 are read.
 
 A gzip stream of a header and then, one after the other for all gaussians: positions of 24 bits,
 opacities, colours, scales, rotations, and harmonics of 8 bits. Version 4 has a header of 32 bytes,
@@ -50,8 +50,7 @@ MOST_EXTENSION_BYTES = 1 << 16  # of a gzip stream, behind the gaussians
 GZIP_HEADER = b"\x1f\x8b\x08%c\0\0\0\0\2\xff"
 COMMENT = 16  # the flag of a comment, which ends with a zero byte; other readers skip it
 ORIGIN = re.compile(rb"origin_of_positions (\S+) (\S+) (\S+)")
-# of a version: bytes of a position and of a rotation
-PLACE_BYTES, ROTATION_BYTES = {1: 6, 2: 9, 3: 9, 4: 9}, {1: 3, 2: 3, 3: 4, 4: 4}
+ROTATION_BYTES = {2: 3, 3: 4, 4: 4}  # by the version
 HIGHEST_DEGREE, KEPT_DEGREE = 4, 3  # of harmonics
 COLOURS, LOG_SCALES, HARMONICS = Steps(0.15 * 255, 127.5), Steps(16, 160), Steps(128, 128)
 # the least significant bits of harmonics that are zero, so that they compress, as in the reference
@@ -75,8 +74,7 @@ class _Header(NamedTuple):
     @property
     def widths(self) -> tuple[int, ...]:
         """The bytes of a gaussian in each part."""
-        return (PLACE_BYTES[self.version], 1, 3, 3, ROTATION_BYTES[self.version],
-                3 * ((self.degree + 1) ** 2 - 1))
+        return 9, 1, 3, 3, ROTATION_BYTES[self.version], 3 * ((self.degree + 1) ** 2 - 1)
 
 
 def write_spz(path: Path, gaussians: Gaussians, notes: Notes) -> None:
@@ -140,11 +138,7 @@ def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
     sizes = [count * width for width in widths]
     check_expansion(len(data), sum(sizes))
     check_rows(len(data), count, widths[-1] // 3)
-    if header.version == WITH_STREAMS and (header.streams or not count):
-        contents = _streams(data, header, sizes)
-    else:
-        whole = _whole(data, header, sum(sizes))
-        contents = [whole[end - size:end] for end, size in zip(np.cumsum(sizes), sizes)]
+    contents = (_streams if header.version == WITH_STREAMS else _stream)(data, header, sizes)
     position, opacity, colour, scale, rotation, sh = (
         np.frombuffer(content, np.uint8).reshape(count, width)
         for content, width in zip(contents, widths))
@@ -164,28 +158,25 @@ def _header(data: bytes) -> _Header:
         data = zlib.decompressobj(zlib.MAX_WBITS | 16).decompress(data, HEADER.size)
     magic, *numbers = HEADER.unpack_from(data)
     header = _Header(*numbers)
-    if magic != MAGIC or header.version not in PLACE_BYTES:
-        raise ValueError(f"versions {min(PLACE_BYTES)} to {max(PLACE_BYTES)} are read, not "
+    if magic != MAGIC or header.version not in ROTATION_BYTES:
+        raise ValueError(f"versions {min(ROTATION_BYTES)} to {WITH_STREAMS} are read, not "
                          f"{header.version}" if magic == MAGIC else "its header is another")
     if header.degree > HIGHEST_DEGREE or header.bits > MOST_FRACTIONAL_BITS:
         raise ValueError(f"SH degree {header.degree}, {header.bits} fractional bits")
     return header
 
 
-def _whole(data: bytes, header: _Header, size: int) -> bytes:
-    """The bytes after the header of a gzip stream, or of one that was unpacked on its way, as
-    servers do that send it with the encoding gzip."""
+def _stream(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
+    """The parts of a file that is one gzip stream."""
+    size = sum(sizes)
     most = size + (MOST_EXTENSION_BYTES if header.flags & EXTENDED else 0)
-    ended = True
-    if not data.startswith(MAGIC):
-        stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
-        data = stream.decompress(data, HEADER.size + most + 1)
-        ended = stream.eof  # at the end its checksum was compared
-    content = data[HEADER.size:]
-    if not size <= len(content) <= most or not ended:
+    stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
+    content = stream.decompress(data, HEADER.size + most + 1)[HEADER.size:]
+    # at the end the checksum was compared
+    if not size <= len(content) <= most or not stream.eof:
         raise ValueError(f"its {header.number} gaussians have another size")
     _check_extensions(content[size:])
-    return content[:size]
+    return [content[end - size:end] for end, size in zip(np.cumsum(sizes), sizes)]
 
 
 def _streams(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
@@ -224,9 +215,7 @@ def _check_extensions(data: bytes) -> None:
 
 
 def _positions(data: NDArray[np.uint8], bits: int) -> NDArray[np.float64]:
-    """Positions of 24 bits, or of version 1, which has numbers of half precision."""
-    if data.shape[1] == PLACE_BYTES[1]:
-        return np.ascontiguousarray(data).view("<f2").astype(np.float64)
+    """Positions of 24 bits, with `bits` below one."""
     fixed = np.zeros((len(data), 3, 4), np.uint8)
     fixed[..., 1:] = data.reshape(len(data), 3, 3)  # the upper bytes keep the sign
     return np.asarray((fixed.view("<i4")[..., 0] >> 8) / 2.0**bits, np.float64)

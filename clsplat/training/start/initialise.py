@@ -17,7 +17,7 @@ from clsplat.densify.sphere import with_spheres
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.models.formats import count_of, is_model, read_model
+from clsplat.io.models.formats import count_of, read_model
 from clsplat.io.models.quantise import morton_order
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.options import TrainOptions, seconds_of
@@ -62,12 +62,9 @@ def initial_gaussians(scene: Scene, options: TrainOptions,
         colours = rng.integers(0, 256, scene.points.shape).astype(np.uint8)
         gaussians = Gaussians.from_points(points, colours, options.sh_degree)
     else:
-        if not os.path.exists(options.init):
-            raise InputError(
-                f"{options.init}: no such file; --init expects sfm, dense, random or a file")
-        if not is_model(options.init):
-            raise InputError(f"{options.init}: a folder; --init expects sfm, dense, random or a "
-                             "file, such as the point_cloud.ply of a run")
+        if not os.path.isfile(options.init):
+            raise InputError(f"{options.init}: no such file; --init expects sfm, dense, random or "
+                             "a file, such as the point_cloud.ply of a run")
         gaussians = read_model(options.init, scene.offset, scene.georeference).scaled(
             1 / scene.unit)
         if gaussians.count < FEWEST_GAUSSIANS:
@@ -94,7 +91,7 @@ def planned_initial(facts: SceneFacts, options: SceneOptions) -> SceneFacts:
     """The facts with the number of gaussians in the file at which training begins, if it does."""
     points = is_auto(options.init) or options.init in POINTS
     # which a run that goes on no longer needs
-    if points or not (os.path.exists(options.init) and is_model(options.init)):
+    if points or not os.path.isfile(options.init):
         return facts
     return replace(facts, count=count_of(options.init))
 

@@ -104,22 +104,6 @@ def test_large_coordinates(tmp_path, suffix):
     compare(moved, gaussians, bounds)
 
 
-def test_a_splat_is_read_only(tmp_path):
-    """Each gaussian has position, size, colour with opacity, and 128 + 128 * quaternion."""
-    row = struct.pack("<6f8B", 1, 2, 3, 0.5, 1, 2, 255, 0, 51, 51, 255, 128, 128, 128)
-    (tmp_path / "a.splat").write_bytes(2 * row)
-    found = read_model(tmp_path / "a.splat")
-    assert np.allclose(found.positions, [(1, 2, 3)] * 2) and np.allclose(opacity(found), 0.2)
-    assert np.allclose(found.log_scales, np.log([(0.5, 1, 2)] * 2), atol=1e-6)
-    assert np.allclose(0.5 + 0.28209479 * found.sh_constant, [(1, 0, 0.2)] * 2, atol=1e-5)
-    assert turns(found.quaternions, np.array([[1.0, 0, 0, 0]] * 2)).max() < 1e-6
-    (tmp_path / "a.splat").write_bytes(row[:-1])
-    with pytest.raises(InputError, match="no multiple of 32"):
-        read_model(tmp_path / "a.splat")
-    with pytest.raises(InputError, match=r"b\.splat: unknown suffix '.splat'; known: .ply"):
-        write_model(tmp_path / "b.splat", found)
-
-
 @pytest.mark.parametrize("suffix", [".spz", ".sog"])
 def test_unused_harmonics_are_not_written(tmp_path, suffix):
     gaussians = model(50, 3)
@@ -247,42 +231,6 @@ def test_clouds(tmp_path, kind, scale):
     plyfile.PlyData([plyfile.PlyElement.describe(same, "vertex")]).write(path)
     with pytest.raises(InputError, match="fewer than two places"):
         read_model(path)
-
-
-@pytest.mark.parametrize("has_colours", [False, True])
-def test_a_compressed_ply_is_read_only(tmp_path, has_colours):
-    """Positions and scales have 11, 10 and 11 bits, the first in the most significant ones; older
-    files have no limits of colours."""
-    names = [f"{end}_{name}" for names in ("xyz", ("scale_x", "scale_y", "scale_z"))
-             for end in ("min", "max") for name in names]
-    limits = [-1, -2, -3, 3, 2, 1, -5, -5, -5, 0, 0, 0]
-    if has_colours:
-        names += [f"{end}_{name}" for end in ("min", "max") for name in "rgb"]
-        limits += [0, 0, 0, 2, 2, 2]
-    words = np.array([[0x7FF << 21, 0xFFFFFFFF], [3 << 30 | 512 << 20 | 512 << 10 | 512] * 2,
-                      [0, 0xFFFFFFFF], [255 << 24 | 128, 51]], "<u4").T
-    harmonics = np.array([[0, 64, 255] + 6 * [128]] * 2, np.uint8)
-    head = ["ply", "format binary_little_endian 1.0", "comment origin_of_positions 10.0 20.0 30.0",
-            "element chunk 1", *(f"property float {name}" for name in names), "element vertex 2",
-            *(f"property uint packed_{name}" for name in ("position", "rotation", "scale",
-                                                         "color")),
-            "element sh 2", *(f"property uchar f_rest_{i}" for i in range(9)), "end_header", ""]
-    path = tmp_path / "a.compressed.ply"
-    data = "\n".join(head).encode() + np.array(limits, "<f4").tobytes() + words.tobytes()
-    path.write_bytes(data + harmonics.tobytes())
-    found = read_model(path)
-    assert np.allclose(world(found), [(13, 18, 27), (13, 22, 31)])
-    assert np.allclose(found.log_scales, [(-5, -5, -5), (0, 0, 0)])
-    assert turns(found.quaternions, np.array([[0, 0, 0, 1.0]] * 2)).max() < 0.01
-    assert np.allclose(0.28209479 * found.sh_constant[0] + 0.5, (1 + has_colours, 0, 0))
-    assert np.allclose(opacity(found), (128 / 255, 0.2), atol=1e-3)
-    assert found.sh_degree == 1 and np.allclose(found.sh_rest[0, :, 0], (-4, -1.984375, 4))
-    for cut in (200, len(data) - 1, len(data)):
-        path.write_bytes(data[:cut])
-        with pytest.raises(InputError, match="damaged or cut short"):
-            read_model(path)
-    with pytest.raises(InputError, match="compressed PLY is only read; write .sog or .spz"):
-        write_model(path, found)
 
 
 def parts(path):
