@@ -25,7 +25,7 @@ from clsplat.partition.blocks import block_start, filled, find_windows, owned_sh
 from clsplat.partition.input import world_of
 from clsplat.partition.make import make_partition
 from clsplat.partition.options import BLOCK_STEPS, PartitionOptions
-from clsplat.partition.partition import Partition
+from clsplat.partition.region import Partition
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Rows
 from clsplat.report.map import write_map
@@ -64,7 +64,7 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions | None = Non
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
             drop = DropTest(city.device, gaussians,
                             scene.reduced(small.downscale, small.max_resolution))
-        # citygs was no better for it, and vastgs counts cameras
+        # citygs was no better for it
         weights = (counted_where(gaussians, dense) if partition_options.method == "blockgs"
                    else None)
         partition = make_partition(scene, partition_options, gaussians, views, drop, weights)

@@ -21,7 +21,7 @@ from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint
 from clsplat.partition.input import world_of
-from clsplat.partition.partition import Partition
+from clsplat.partition.region import Partition
 from clsplat.scene import Scene
 
 READ_TOGETHER = 4  # blocks, where all of them will be in memory

@@ -26,7 +26,7 @@ from clsplat.evaluation.views import Image, opened, photo_of, render_view, score
 from clsplat.gaussians import Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.photos.views import read_valid
-from clsplat.partition.partition import Partition
+from clsplat.partition.region import Partition
 from clsplat.rendering.options import RenderingOptions
 from clsplat.rendering.slabs import ModelRenderer
 from clsplat.scene import Scene, View

@@ -1,4 +1,4 @@
 """A scene cut into blocks that are trained independently: their cells, and the views of each block.
 
-`make.make_partition` is the entry point; its methods share one signature.
+`make.make_partition` is the entry point.
 """

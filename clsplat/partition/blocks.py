@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from clsplat.camera import turned
 from clsplat.gaussians import Gaussians
-from clsplat.partition.clusters import Clusters
 from clsplat.partition.input import world_of
 
 if TYPE_CHECKING:
@@ -39,6 +39,9 @@ LEAST_SIDE = 64  # pixels
 MOST_SIZES = 8  # of a block's windows: each is a recorded frame, anew after every round of growth
 MOST_STEPS = 32  # of the sides of windows in a photo's longest side, so that few sizes differ
 MOST_COUNTED = 20_000  # gaussians for which shares are counted
+
+CLUSTER = 256  # points that a view is compared with together
+ROUNDING = 1e-6  # of the lengths compared: a cluster is never missed by it
 
 Window = tuple[int, int, int, int]  # left, top, right, bottom, pixels
 
@@ -112,6 +115,56 @@ def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, mo
     rows = {name: np.concatenate([values, dense.rows[name][added]])
             for name, values in start.gaussians.rows.items()}
     return replace(start, gaussians=Gaussians(rows, start.gaussians.sh_degree), dense=len(added))
+
+
+class Clusters:
+    """Equal numbers of points that lie close together, with spheres around them.
+
+    They are cut across the two longest sides of all points: into strips, and these into clusters
+    (the packing of R-trees of Leutenegger, Lopez and Edgington 1997, Sort-Tile-Recursive).
+    `positions` : [N, 3]; those that are not finite are in no view; `reach` : [N], how far each of
+    the points extends; `order` : int[N], the points in the order of their clusters."""
+
+    def __init__(self, positions: NDArray[np.floating], reach: NDArray[np.floating]) -> None:
+        count = len(positions)
+        positions = np.where(np.isfinite(positions), positions, np.nan)
+        low, high = (each.reduce(positions, axis=0, initial=np.nan) for each in (np.fmin, np.fmax))
+        across, along = np.argsort(low - high)[:2]  # the longest sides first
+        strips = max(1, round((count / CLUSTER) ** 0.5))
+        rank = np.empty(count, np.int64)
+        rank[np.argsort(positions[:, across], kind="stable")] = np.arange(count)
+        strip = rank * strips // max(count, 1)
+        there_and_back = np.where(strip % 2, -1, 1)  # so that clusters of two strips are small, too
+        self.order = np.lexsort((there_and_back * positions[:, along], strip))
+        starts = np.arange(0, count, CLUSTER)
+        self._cluster = np.arange(count) // CLUSTER
+        packed = positions[self.order]
+        low, high = (each.reduceat(packed, starts, axis=0) if count else packed
+                     for each in (np.fmin, np.fmax))
+        self._centres = (low.astype(np.float64) + high) / 2
+        self._radii = np.linalg.norm(high - low, axis=1) / 2
+        self._reaches = np.maximum.reduceat(reach[self.order], starts) if count else reach
+
+    def near_view(self, camera: Camera, near: float, beside: float = 0.0
+                  ) -> NDArray[np.integer]:
+        """The places in `order` of points that a view may show; all others it certainly does not.
+
+        `camera` : a pinhole, in the frame of the points; `near` : depth of the near plane; `beside`
+        : pixels outside of the image that count, too."""
+        x, y, z = turned(camera.rotation, self._centres) + camera.translation[:, None]
+        (fx, fy), (cx, cy) = camera.focal, camera.centre
+        shown = z + self._radii > near - ROUNDING * abs(z)
+        # a point at the pixel u = fx x / z + cx reaches the image if u > -max(fx, fy) reach / z
+        for focal, place, from_left, length in ((fx, x, cx, camera.width),
+                                                (fy, y, cy, camera.height)):
+            for sign, centre in ((1, beside + from_left),
+                                 (-1, beside + length - from_left)):
+                inside = sign * focal * place + centre * z
+                slack = (np.hypot(focal, centre) * self._radii + max(fx, fy) * self._reaches
+                         + ROUNDING * (focal * abs(place) + abs(centre * z)))
+                shown &= inside + slack > 0
+        found: NDArray[np.integer] = np.flatnonzero(shown[self._cluster])
+        return found
 
 
 def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floating],

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsplat.covisibility.source_views import visibility
 from clsplat.errors import InputError
-from clsplat.partition.region import Space, map_axes
+from clsplat.partition.region import Space
 
 if TYPE_CHECKING:
     from clsplat.gaussians import Gaussians
@@ -39,7 +39,6 @@ class PartitionInput:
     observed_points, observed_views : [S]; the pairs (point, index into `views`) in which a view
         sees a point.
     rotation : [3, 3]; rows u, v (along the ground) and up.
-    bounds : low [2] and high [2] along u and v of the area of interest, if the user set one.
     """
 
     scene: Scene
@@ -51,27 +50,15 @@ class PartitionInput:
     observed_points: NDArray[np.integer]
     observed_views: NDArray[np.integer]
     rotation: NDArray[np.float64]
-    bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | None
 
     @classmethod
     def of(cls, scene: Scene, gaussians: Gaussians | None = None, views: ArrayLike | None = None,
-           up: Sequence[float] | None = None, bounds: Sequence[float] | None = None,
-           weights: NDArray[np.float64] | None = None) -> PartitionInput:
-        """Collect the input of a partition from a scene.
+           up: Sequence[float] | None = None, weights: NDArray[np.float64] | None = None
+           ) -> PartitionInput:
+        """Collect the input of a partition; arguments and errors as for `make_partition`.
 
-        Parameters
-        ----------
-        scene, views : the whole, and indices into scene.views of the training views. None: all.
-        gaussians : a coarse model in the scene's local frame, whose centres are the content. None:
-            the sparse points are, each weighted by the number of views that see it.
-        up : world. None: that of the scene.
-        bounds : X0, Y0, X1, Y1 on the map, see `Space.map`. None: no area of interest is set.
-        weights : [N], how much each gaussian counts. None: all the same.
-
-        Raises
-        ------
-        InputError : no view sees any point, or the bounds contain none.
-        """
+        The content is the centres of `gaussians`, or else the sparse points, each weighted by the
+        number of views that see it. `up` : world; None: that of the scene."""
         indices = np.arange(len(scene.views)) if views is None else np.asarray(views)
         chosen = [scene.views[index] for index in indices]
         local, point, view = visibility(scene, chosen)
@@ -89,56 +76,31 @@ class PartitionInput:
                              "training view sees a point; reconstruct the scene again, or train a "
                              "coarse model first")
         up_world = scene.up if up is None else np.array(up) / np.linalg.norm(up)
-        if bounds is None:
-            area, rotation = None, ground_axes(up_world, content, counts)
-        else:
-            area = np.array(bounds[:2], np.float64), np.array(bounds[2:], np.float64)
-            rotation = np.stack([*map_axes(up_world), up_world])
-        result = cls(scene, indices, cameras, content, counts, points, point, view, rotation, area)
-        if area is not None and not result.inside().any():
-            low, high = result.content_box()
-            raise InputError(
-                f"{scene.name}: no points within the bounds {_text(*area)} of the map; most lie "
-                f"within {_text(low[:2], high[:2])}: correct --bounds, or leave them out")
-        return result
-
-    def inside(self) -> NDArray[np.bool_]:
-        """Which content lies in the bounds, as bool[M]; all that counts where none are set."""
-        if self.bounds is None:
-            return self.weights > 0
-        along = self.content @ self.rotation[:2].T
-        within: NDArray[np.bool_] = np.all(
-            (along >= self.bounds[0]) & (along < self.bounds[1]), axis=1)
-        return within
+        return cls(scene, indices, cameras, content, counts, points, point, view,
+                   ground_axes(up_world, content, counts))
 
     def content_box(self, shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,)
                     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The low [3] and high [3] corner, along u, v and up in world units, of what is divided.
 
-        Along u and v these are the bounds where some are set, otherwise the quantiles `shares` of
-        the content. Along up the box contains all content but outliers, and all cameras.
+        Along u and v these are the quantiles `shares` of the content. Along up the box contains all
+        content but outliers, and all cameras.
         """
         along = self.content @ self.rotation.T
         up = np.concatenate([quantiles(along[:, 2], self.weights, CONTENT_QUANTILES),
                              self.cameras @ self.rotation[2]])
-        if self.bounds is not None:
-            low, high = self.bounds
-        else:
-            low, high = np.transpose([quantiles(along[:, axis], self.weights, share)
-                                      for axis, share in enumerate(shares)])
+        low, high = np.transpose([quantiles(along[:, axis], self.weights, share)
+                                  for axis, share in enumerate(shares)])
         return np.array([*low, up.min()]), np.array([*high, up.max()])
 
     def space(self, contracted: bool = False,
               shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,),
               stretch: Sequence[float] = (1.0, 1.0)) -> Space:
-        """The Space whose area of interest is `content_box(shares)`.
-
-        Where no bounds are set, its sides along u and v are multiplied by `stretch` [2].
-        """
+        """The Space whose area of interest is `content_box(shares)`, with its sides along u and v
+        multiplied by `stretch` [2]."""
         low, high = self.content_box(shares)
         half = (high - low) / 2
-        if self.bounds is None:
-            half[:2] *= stretch
+        half[:2] *= stretch
         half = np.maximum(half, LEAST_HALF_SIDE * max(half.max(), np.finfo(float).tiny))
         return Space(self.rotation, (low + high) / 2 @ self.rotation, half, contracted)
 
@@ -146,10 +108,6 @@ class PartitionInput:
 def world_of(scene: Scene, points: ArrayLike) -> NDArray[np.float64]:
     """The original world coordinates [N, 3] of points in the local frame of a scene."""
     return scene.offset + scene.unit * np.asarray(points, np.float64).reshape(-1, 3)
-
-
-def _text(low: NDArray[np.float64], high: NDArray[np.float64]) -> str:
-    return " ".join(f"{value:.6g}" for value in (*low, *high))
 
 
 def ground_axes(up: NDArray[np.float64], content: NDArray[np.float64],

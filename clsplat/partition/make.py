@@ -1,25 +1,44 @@
-"""From a scene to its Partition, in the same steps for every method."""
+"""Cuts a scene into blocks: which cell each owns, and which views it trains on.
+
+citygs : a grid in contracted space (Liu et al. 2024, CityGaussian, section 3.2).
+blockgs : recursive bisection into equal content (Wu et al. 2025, BlockGaussian).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.errors import InputError
-from clsplat.partition.input import PartitionInput
-from clsplat.partition.methods import METHODS, DropTest
-from clsplat.partition.partition import Cells, Partition
-from clsplat.partition.region import Region
+from clsplat.partition.blocks import Clusters
+from clsplat.partition.input import CONTENT_QUANTILES, PartitionInput
+from clsplat.partition.region import Cells, Partition, Region, Space
 
 if TYPE_CHECKING:
     from clsplat.gaussians import Gaussians
     from clsplat.partition.options import PartitionOptions
     from clsplat.scene import Scene
+
+# of citygs
+TESTED_GAUSSIANS = 25_000  # a cell with fewer, and fewer than an equal share, is enlarged to test
+GROWTH_STEP = 0.01  # of contracted space, by which such a cell is enlarged
+IMAGE_MARGIN = 0.1  # of the image: gaussians with a centre this far outside may still be visible
+# of blockgs
+BALANCED = 1.05  # content of the fullest block over that of the mean one
+ROUNDS = 10
+MOST_SAMPLED = 100_000  # of the content, to find cells
+# of tracks
+LEAST_OF_VIEW = 0.3  # share of a view's points above which a cell is assigned the view
+LEAST_OF_CELL = 0.1  # share of a cell's points above which a view is assigned to the cell
+
+# 1 - SSIM between the render of all gaussians and that of those where the mask bool[M] is true, in
+# the view with this index in scene.views
+DropTest = Callable[[Iterable[tuple[int, NDArray[np.bool_]]]], Iterable[float]]
+Cut = tuple[list[Region], NDArray[np.bool_]]  # cells, and bool[B, V]: which views each is assigned
 
 
 def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians | None = None,
@@ -32,22 +51,22 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
     scene, options : the whole scene; the method and its numbers.
     gaussians : a coarse model in the scene's local frame. None: the sparse points are used.
     views : indices into scene.views of the training views. None: all.
-    drop : see `methods.citygs`.
+    drop : see `_citygs`.
     weights : [N], how much each gaussian counts. None: all the same.
 
     Raises
     ------
-    InputError : the grid has a starved block, or the bounds contain no points.
+    InputError : no view sees any point.
     """
-    data = PartitionInput.of(scene, gaussians, views, options.up, options.bounds, weights)
+    data = PartitionInput.of(scene, gaussians, views, options.up, weights)
     low, high = data.content_box()
     side = np.maximum((high - low)[:2], np.finfo(float).tiny)
     grid = options.grid or choose_grid(options.needed, side[0] / side[1])
-    regions, assigned = METHODS[options.method](data, grid, options, drop)
-    if options.grid is not None and options.starved == "refuse" and len(regions) > 1:
-        _refuse_starved(data, options, grid, regions, assigned)
+    if options.method == "citygs":
+        regions, assigned = _citygs(data, grid, options, drop)
     else:
-        regions, assigned = _join_starved(data, options, regions, assigned)
+        regions, assigned = _blockgs(data, math.prod(grid), options.margin)
+    regions, assigned = _join_starved(data, options, regions, assigned)
     return Partition(options.method, tuple(regions),
                      tuple(data.views[np.flatnonzero(row)] for row in assigned),
                      _dropped(data, regions, assigned))
@@ -80,37 +99,23 @@ def _dropped(data: PartitionInput, regions: list[Region], assigned: NDArray[np.b
     return reasons
 
 
-def _refuse_starved(data: PartitionInput, options: PartitionOptions, grid: tuple[int, int],
-                    regions: Sequence[Region], assigned: NDArray[np.bool_]) -> None:
-    """Raise InputError if a block has fewer views or gaussians than the options require."""
-    counts = _counts(data, regions)
-    starved = np.flatnonzero(_starved(options, counts, assigned))
-    if len(starved):
-        first = starved[0]
-        others = f" (and {len(starved) - 1} more)" if len(starved) > 1 else ""
-        raise InputError(
-            f"{data.scene.name}: block {first}{others} of the {grid[0]}x{grid[1]} grid is starved: "
-            f"{counts[first]:,} gaussians and {assigned[first].sum()} views, it needs "
-            f"{options.least_gaussians:,} and {options.least_views}; use a smaller --grid, or "
-            "--starved join")
-
-
 def _join_starved(data: PartitionInput, options: PartitionOptions, regions: Sequence[Region],
-                  assigned: NDArray[np.bool_]) -> tuple[list[Region], NDArray[np.bool_]]:
-    """Join starved blocks one by one, those with the least content first.
+                  assigned: NDArray[np.bool_]) -> Cut:
+    """Join blocks with too few gaussians or views one by one, those with the least content first.
 
     Each is joined to the neighbour with the least content among those with which it makes a box.
-    The blocks keep their order. Returns the regions, and bool[B, V] with the views that are
-    assigned to each.
+    The blocks keep their order.
     """
-    cells, counts, views = list(regions), _counts(data, regions).tolist(), list(assigned)
-    alone: list[Region] = []  # starved blocks that have no such neighbour
+    cells, views, alone = list(regions), list(assigned), list[Region]()  # alone: without neighbours
+    owner = Cells(cells).at(cells[0].space.to(data.content))
+    counts = np.bincount(owner[owner >= 0], minlength=len(cells)).tolist()
     while len(cells) > 1:
-        starved = [block for block in np.flatnonzero(_starved(options, counts, np.array(views)))
-                   if cells[block] not in alone]
+        starved = [block for block, (cell, count, seen) in enumerate(zip(cells, counts, views))
+                   if (count < options.least_gaussians or seen.sum() < options.least_views)
+                   and cell not in alone]
         if not starved:
             break
-        poorest = int(min(starved, key=counts.__getitem__))
+        poorest = min(starved, key=counts.__getitem__)
         unions = {other: union for other, region in enumerate(cells)
                   if (union := _union(cells[poorest], region)) is not None}
         if not unions:
@@ -125,20 +130,6 @@ def _join_starved(data: PartitionInput, options: PartitionOptions, regions: Sequ
     return cells, np.array(views)
 
 
-def _counts(data: PartitionInput, regions: Sequence[Region]) -> NDArray[np.integer]:
-    """How much content each block owns, as int[B]."""
-    owner = Cells(regions).at(regions[0].space.to(data.content))
-    return np.bincount(owner[owner >= 0], minlength=len(regions))
-
-
-def _starved(options: PartitionOptions, counts: Sequence[int] | NDArray[np.integer],
-             assigned: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which blocks are starved, as bool[B]."""
-    starved: NDArray[np.bool_] = ((np.array(counts) < options.least_gaussians)
-                                  | (assigned.sum(axis=1) < options.least_views))
-    return starved
-
-
 def _union(a: Region, b: Region) -> Region | None:
     """The union of two Regions that share a whole face; None for others."""
     same = (a.low == b.low) & (a.high == b.high)
@@ -148,3 +139,166 @@ def _union(a: Region, b: Region) -> Region | None:
     if a.high[axis] != b.low[axis] and b.high[axis] != a.low[axis]:
         return None
     return replace(a, low=np.minimum(a.low, b.low), high=np.maximum(a.high, b.high))
+
+
+def _citygs(data: PartitionInput, grid: tuple[int, int], options: PartitionOptions,
+            drop: DropTest | None) -> Cut:
+    """Cut the scene into the cells of a uniform N x M grid along u and v, row by row.
+
+    A view is assigned to the cell that contains its camera, and to those without whose gaussians
+    `drop` is more than `options.threshold`. `drop` receives all cells of a view in turn, so that a
+    view's full render is needed once. Where it is None, the tracks of the view decide.
+    """
+    space = _contracted(data, grid)
+    across, along = ([-np.inf, *(np.arange(1, n) / n), np.inf] for n in grid)  # unbounded ends
+    regions = [Region(space, np.array([u0, v0, -np.inf]), np.array([u1, v1, np.inf]),
+                      options.margin)
+               for v0, v1 in zip(along, along[1:]) for u0, u1 in zip(across, across[1:])]
+    cameras = space.to(data.cameras)
+    assigned = np.array([region.holds(cameras) for region in regions])
+    if len(regions) == 1:
+        return regions, assigned
+    if drop is None:
+        return regions, assigned | _seen_by_tracks(data, regions)
+    content = space.to(data.content)
+    tested = _tested(regions, content)
+    owner = Cells(regions).at(content)
+    pairs: list[tuple[int, int]] = []  # block, view
+    for view, visible in enumerate(_visible_cells(data, owner)):
+        pairs += [(block, view) for block in visible[~assigned[visible, view]].tolist()]
+    inside = [region.holds(content) for region in tested]
+    changes = drop((int(data.views[view]), ~inside[block]) for block, view in pairs)
+    for (block, view), change in zip(pairs, changes):
+        assigned[block, view] = change > options.threshold
+    return regions, assigned
+
+
+def _contracted(data: PartitionInput, grid: tuple[int, int]) -> Space:
+    """The contracted space of the grid, in which each of the outermost cells contains 1/N of the
+    content, since cells of equal size in contracted space differ in content.
+
+    Its area of interest is the middle half of the content for up to four cells along an axis, less
+    for more cells, and all of it along an axis that is not cut.
+    """
+    outside = [1 / max(n, 4) for n in grid]
+    shares = [(share, 1 - share) if n > 1 else CONTENT_QUANTILES
+              for share, n in zip(outside, grid)]
+    # cell 1 of N > 3 begins at 1/N of contracted space, N/4 half sides from the middle
+    return data.space(contracted=True, shares=shares, stretch=[4 * share for share in outside])
+
+
+def _tested(regions: Sequence[Region], content: NDArray[np.float64]) -> list[Region]:
+    """The Regions, enlarged on all sides alike, in steps, until they contain enough content."""
+    enough = min(TESTED_GAUSSIANS, len(content) // len(regions))
+    tested = []
+    for region in regions:
+        away = np.fmax(region.low - content, content - region.high).max(axis=1).clip(0)
+        needed = np.partition(away, enough - 1)[enough - 1] if enough else 0
+        growth = GROWTH_STEP * (np.floor(needed / GROWTH_STEP) + 1) if needed else 0
+        tested.append(Region(region.space, region.low - growth, region.high + growth))
+    return tested
+
+
+def _visible_cells(data: PartitionInput, owner: NDArray[np.integer]
+                   ) -> Iterator[NDArray[np.integer]]:
+    """For each view, the cells that have content in its image or close beside it; `owner` : [M],
+    the cell of each content, -1 for none."""
+    places = (data.content - data.scene.offset) / data.scene.unit
+    clusters = Clusters(places, np.zeros(len(places)))
+    places, owner = places[clusters.order], owner[clusters.order]
+    for index in data.views:
+        camera = data.scene.views[index].camera
+        beside_x, beside_y = IMAGE_MARGIN * camera.width, IMAGE_MARGIN * camera.height
+        near = clusters.near_view(camera, 0.0, max(beside_x, beside_y))
+        (x, y), depth = (each.T for each in camera.project(places[near]))
+        shown = ((depth > 0) & (x > -beside_x) & (x < camera.width + beside_x)
+                 & (y > -beside_y) & (y < camera.height + beside_y))
+        yield np.flatnonzero(np.bincount(owner[near[shown]] + 1)[1:])
+
+
+def _blockgs(data: PartitionInput, blocks: int, margin: float) -> Cut:
+    """Cut the scene into cells, each cut from a larger one across its longer side.
+
+    A cell for k blocks is cut so that its parts contain content in the ratio of k // 2 to
+    k - k // 2, by weight (the released code cuts at the middle). The content is weighted anew until
+    blocks with their margins contain about the same. A view is assigned to the cells, enlarged by
+    the margin, that its tracks see.
+    """
+    space = data.space()
+    inside = np.flatnonzero(data.weights > 0)
+    if len(inside) > MOST_SAMPLED:
+        inside = np.random.default_rng(0).choice(inside, MOST_SAMPLED, replace=False)
+    coordinates, weights = space.to(data.content[inside]), data.weights[inside]
+    regions = _balanced(Region(space, margin=margin), coordinates, weights, blocks)
+    return regions, _seen_by_tracks(data, [region.grown(region.margin) for region in regions])
+
+
+def _balanced(whole: Region, coordinates: NDArray[np.float64], weights: NDArray[np.float64],
+              count: int) -> list[Region]:
+    """Cut a region into `count` Regions that contain about the same with their margins.
+
+    Margins of cells with equal content contain up to twice as much in one block as in another. So
+    the content of a cell counts more where its block contains more than the mean one, until the
+    fullest one is near the mean; of all rounds, the one is taken whose fullest block is smallest.
+    """
+    found = []
+    counted = weights.copy()
+    for _ in range(ROUNDS):
+        regions = _bisected(whole, coordinates, counted, count)
+        reached = np.array([weights[region.grown(region.margin).holds(coordinates)].sum()
+                            for region in regions])
+        found.append((reached.max(), regions))
+        if reached.max() <= BALANCED * reached.mean():
+            break
+        for region, content in zip(regions, reached):
+            counted[region.holds(coordinates)] *= np.sqrt(content / reached.mean())
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def _bisected(region: Region, coordinates: NDArray[np.float64], weights: NDArray[np.float64],
+              count: int) -> list[Region]:
+    """Cut a region with the content `coordinates` [K, 3] into `count` Regions."""
+    if count == 1:
+        return [region]
+    sides = (region.side * region.space.half)[:2]
+    for axis in np.argsort(-sides, kind="stable"):
+        at = _best_cut(coordinates[:, axis], weights, count // 2 / count)
+        if at is not None:
+            break
+    else:
+        return [region]
+    lower, upper = region.cut(axis, at)
+    below = coordinates[:, axis] < at
+    return (_bisected(lower, coordinates[below], weights[below], count // 2)
+            + _bisected(upper, coordinates[~below], weights[~below], count - count // 2))
+
+
+def _seen_by_tracks(data: PartitionInput, regions: Sequence[Region]) -> NDArray[np.bool_]:
+    """Which views see each region, as bool[B, V] (SunshineWYC, BlockGaussian 2025).
+
+    A view sees a region if more than 0.3 of the view's points lie in the region, or if more than
+    0.1 of the region's points are in the view.
+    """
+    sees = np.zeros((len(regions), len(data.views)), bool)
+    of_view = np.bincount(data.observed_views, minlength=len(data.views))
+    coordinates = regions[0].space.to(data.points)
+    for block, region in enumerate(regions):
+        inside = region.holds(coordinates)
+        shared = np.bincount(data.observed_views[inside[data.observed_points]],
+                             minlength=len(data.views))
+        sees[block] = (shared > LEAST_OF_VIEW * of_view) | (shared > LEAST_OF_CELL * inside.sum())
+    return sees
+
+
+def _best_cut(values: NDArray[np.floating], weights: NDArray[np.floating], share: float
+             ) -> float | None:
+    """The number below which about `share` of the weight of `values` [N] lies.
+
+    It is halfway between two neighbouring values. None if all values are equal.
+    """
+    distinct, inverse = np.unique(values, return_inverse=True)
+    if len(distinct) < 2:
+        return None
+    below = np.cumsum(np.bincount(inverse.reshape(-1), weights))
+    place = int(np.argmin(np.abs(below[:-1] - share * below[-1])))
+    return float(distinct[place] + distinct[place + 1]) / 2

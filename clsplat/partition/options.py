@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from clsplat.config.option import AUTO, MOST, check_flag, is_auto, option, options_of
 from clsplat.errors import InputError
 
-METHODS = ("citygs", "blockgs", "vastgs")
-LEAST_GAUSSIANS = 100  # a block with fewer is starved
+METHODS = ("citygs", "blockgs")
+LEAST_GAUSSIANS = 100  # of a block
 MOST_BLOCKS = 10_000
 # where `auto` leaves it open: without a joint training, and with one
 BLOCK_STEPS, BLOCK_STEPS_BEFORE_JOINT = 2.0, 0.25
@@ -20,12 +20,6 @@ def check_up(up: tuple[float, ...]) -> None:
         raise ValueError
 
 
-def check_bounds(bounds: tuple[float, ...]) -> None:
-    """Raise ValueError if the bounds do not enclose an area."""
-    if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
-        raise ValueError
-
-
 @dataclass(frozen=True)
 class PartitionOptions:
     """How a scene is cut into blocks.
@@ -35,7 +29,7 @@ class PartitionOptions:
     expected : gaussians of the whole scene at the end of training; 0 if that is not known.
     least_blocks : the least number of blocks of a chosen grid.
     workers : how many train blocks at the same time.
-    least_gaussians : a block with fewer gaussians is starved.
+    least_gaussians : a block with fewer gaussians is joined to a neighbour, too.
 
     Raises
     ------
@@ -44,7 +38,7 @@ class PartitionOptions:
 
     method: str = option("citygs", "Blocks", "citygs: a regular grid, each block with the views "
                          "that change without it; blockgs: halves of equal content, with the views "
-                         "that see it; vastgs: cells with equally many cameras", choices=METHODS)
+                         "that see it", choices=METHODS)
     grid: tuple[int, int] | None = option(
         None, "Blocks", "number of blocks along both sides of the ground, such as 3x3; auto: as "
         "many as --block-gaussians requires", words={AUTO: None}, separator="x", minimum=1,
@@ -59,13 +53,6 @@ class PartitionOptions:
         None, "Blocks", "the direction that points up; default: estimated from the cameras",
         expects="three numbers that are not all 0, such as 0 0 1", minimum=-MOST[float],
         check=check_up)
-    bounds: tuple[float, float, float, float] | None = option(
-        None, "Blocks", "X0 Y0 X1 Y1: the area of interest on the map; default: estimated from "
-        "the points", expects="X0 Y0 X1 Y1 with X0 below X1 and Y0 below Y1, on the map that "
-        "`clsplat partition` draws", minimum=-MOST[float], check=check_bounds)
-    starved: str = option("refuse", "Blocks", "what becomes of a block of --grid that has too few "
-                          "views: refuse the grid, or join the block to a neighbour",
-                          choices=("refuse", "join"))
     threshold: float = option(0.003, "Blocks", "citygs assigns a view to a block if the view "
                               "without the block changes by more than this, as 1 - SSIM",
                               minimum=0.0, maximum=2.0, measured=True)
@@ -86,8 +73,8 @@ class PartitionOptions:
                                 "its photos allow (--visits), with --schedule sig",
                                 words={AUTO: AUTO, "none": 0.0}, minimum=0.01, maximum=10.0,
                                 measured=True)
-    least_views: int = option(8, "Blocks", "number of views below which a block has too few",
-                              minimum=0)
+    least_views: int = option(8, "Blocks", "number of views below which a block is joined to a "
+                              "neighbour", minimum=0)
     expected: int = 0
     least_blocks: int = 1
     workers: int = 1

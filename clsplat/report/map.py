@@ -13,8 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from clsplat.partition.input import CONTENT_QUANTILES, world_of
-from clsplat.partition.partition import Partition
-from clsplat.partition.region import Region
+from clsplat.partition.region import Partition, Region
 from clsplat.report.charts import COLOURS, own_settings
 from clsplat.scene import Scene
 

@@ -29,8 +29,7 @@ from clsplat.io.runs.city import BLOCK, EXCHANGES, OTHERS, BlockFolder, CityFold
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.partition.blocks import block_start, trainable
-from clsplat.partition.partition import Partition
-from clsplat.partition.region import Region, Space
+from clsplat.partition.region import Partition, Region, Space
 from clsplat.training.checkpoint import Checkpoint
 from tests.data.tiny_training import CITY, model_digest
 

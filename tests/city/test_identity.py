@@ -14,8 +14,7 @@ from clsplat.io.records import digest_of
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
-from clsplat.partition.partition import Partition
-from clsplat.partition.region import Region, Space
+from clsplat.partition.region import Partition, Region, Space
 from tests.data.tiny_training import CITY
 
 INF = np.inf

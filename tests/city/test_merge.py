@@ -17,8 +17,7 @@ from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
-from clsplat.partition.partition import Partition
-from clsplat.partition.region import Region, Space
+from clsplat.partition.region import Partition, Region, Space
 from clsplat.report.city import share_table
 from clsplat.response import Response
 from tests.data.tiny_training import CITY

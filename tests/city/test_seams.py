@@ -18,8 +18,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import write_image
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions
-from clsplat.partition.partition import Partition
-from clsplat.partition.region import Region, Space
+from clsplat.partition.region import Partition, Region, Space
 from clsplat.rendering.slabs import open_model
 from clsplat.report.city import seam_table
 from tests.data.tiny_training import CITY

@@ -15,8 +15,6 @@ from clsplat.errors import InputError, Interrupted
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
-from clsplat.partition.make import METHODS
-from clsplat.partition.options import METHODS as NAMES
 from clsplat.partition.options import PartitionOptions
 from clsplat.report.groups import Trained, differing
 from clsplat.training.loop import resume, train
@@ -100,4 +98,3 @@ def test_a_partition_is_the_same_whatever_chose_its_grid():
     one, other = PartitionOptions(), PartitionOptions(block_gaussians=500, expected=900)
     assert not list(differences(plain(one), other))
     assert next(differences(plain(one), PartitionOptions(margin=0.2))) == ("margin", 0.3, 0.2)
-    assert tuple(METHODS) == NAMES

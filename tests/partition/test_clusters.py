@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.partition.blocks import VISIBLE_DEVIATIONS, largest_sizes, shown_sizes
-from clsplat.partition.clusters import SIZE, Clusters
+from clsplat.partition.blocks import (
+    CLUSTER,
+    VISIBLE_DEVIATIONS,
+    Clusters,
+    largest_sizes,
+    shown_sizes,
+)
 from clsplat.scene import View
 
 
@@ -26,7 +31,7 @@ def strewn(count, seed=0):
     return rng.uniform((0, 0, 0), (100, 100, 5), (count, 3)), deviations
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, SIZE, SIZE + 1, 40 * SIZE + 7])
+@pytest.mark.parametrize("count", [0, 1, 2, CLUSTER, CLUSTER + 1, 40 * CLUSTER + 7])
 def test_no_view_misses_a_point(count):
     positions, deviations = strewn(count)
     clusters = Clusters(positions, VISIBLE_DEVIATIONS * deviations)
@@ -43,7 +48,7 @@ def test_no_view_misses_a_point(count):
 
 
 def test_a_view_is_compared_with_few():
-    positions, _ = strewn(100 * SIZE)
+    positions, _ = strewn(100 * CLUSTER)
     clusters = Clusters(positions, np.full(len(positions), 0.01))
     for camera in cameras(10):
         below = camera.position * (1, 1, 0)
@@ -55,7 +60,7 @@ def test_a_view_is_compared_with_few():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_points_that_are_not_finite_hide_no_others(value):
-    positions, deviations = strewn(4 * SIZE)
+    positions, deviations = strewn(4 * CLUSTER)
     positions[::50, 0] = value
     for camera in cameras(10):
         with np.errstate(invalid="ignore"):

@@ -7,11 +7,8 @@ import pytest
 from scipy.special import softmax
 
 from clsplat.gaussians import Gaussians
-from clsplat.partition import clusters, methods
-from clsplat.partition.input import PartitionInput
+from clsplat.partition import blocks, make
 from clsplat.partition.make import choose_grid
-from clsplat.partition.methods import _meet, _rays, best_cut
-from clsplat.partition.region import Space
 from tests.data.fields import SIDES, cut, field, world
 from tests.data.gaussians_at import gaussians_at
 
@@ -50,10 +47,10 @@ def test_blocks_of_blockgs_hold_about_the_same_with_their_margins(count, monkeyp
 
     def fullest(counts):
         return counts.max() / counts.mean()
-    assert fullest(held()) <= methods.BALANCED
-    monkeypatch.setattr(methods, "MOST_SAMPLED", 10_000)
-    assert fullest(held()) <= 1.05 * methods.BALANCED
-    monkeypatch.setattr(methods, "ROUNDS", 1)
+    assert fullest(held()) <= make.BALANCED
+    monkeypatch.setattr(make, "MOST_SAMPLED", 10_000)
+    assert fullest(held()) <= 1.05 * make.BALANCED
+    monkeypatch.setattr(make, "ROUNDS", 1)
     assert fullest(held()) > 1.1
 
 
@@ -84,15 +81,6 @@ def test_blockgs_assigns_a_view_of_the_margin_to_both_sides():
         assert [0 in views for views in partition.views] == expected
 
 
-@pytest.mark.parametrize("grid", [(2, 2), (3, 2), (4, 3)])
-def test_vastgs_divides_cameras_evenly(grid):
-    for seed in range(3):
-        scene = field(seed)
-        partition = cut(scene, "vastgs", grid)
-        cameras = np.bincount(partition.owner([v.camera.position for v in scene.views]))
-        assert len(cameras) == grid[0] * grid[1] and np.ptp(cameras) <= 2
-
-
 def test_citygs_divides_a_uniform_field_evenly():
     rng = np.random.default_rng(0)
     scene = field()
@@ -109,7 +97,7 @@ def test_citygs_divides_a_uniform_field_evenly():
 
 
 def test_citygs_assigns_a_view_to_the_cell_of_its_camera_and_to_cells_it_shows(monkeypatch):
-    monkeypatch.setattr(clusters, "SIZE", 1)  # nothing is compared by chance
+    monkeypatch.setattr(blocks, "CLUSTER", 1)  # nothing is compared by chance
     scene = field(tracks=False)
     gaussians = gaussians_at(scene.points)
     calls = []
@@ -130,7 +118,7 @@ def test_citygs_assigns_a_view_to_the_cell_of_its_camera_and_to_cells_it_shows(m
     assert set(rendered) <= set(training.tolist())
     own = partition.owner(scene.points)
     for view in training:
-        blocks = {b for b, views in enumerate(partition.views) if view in views}
+        found = {b for b, views in enumerate(partition.views) if view in views}
         left_out = {int(np.bincount(own[~keep]).argmax()) for keep in rendered.get(int(view), [])}
         assert all((~keep[own == np.bincount(own[~keep]).argmax()]).all()
                    for keep in rendered.get(int(view), []))
@@ -138,46 +126,8 @@ def test_citygs_assigns_a_view_to_the_cell_of_its_camera_and_to_cells_it_shows(m
         size = np.array([scene.views[view].camera.width, scene.views[view].camera.height])
         shown = (depths > 0) & (abs(pixels - size / 2) < 0.6 * size).all(axis=1)
         assert left_out == {*own[shown].tolist()} - {home[view]}
-        assert blocks == {int(home[view])} | (left_out if view % 3 == 0 else set())
+        assert found == {int(home[view])} | (left_out if view % 3 == 0 else set())
     assert any(len(keeps) > 1 for keeps in rendered.values())
-
-
-def looking_down(height):
-    """A camera with a field of view of 2 x 2 a unit of depth, `height` above the origin."""
-    view = field(cameras=1).views[0]
-    rotation = np.diag([1.0, -1, -1])
-    camera = replace(view.camera, width=60, height=60, focal=(30.0, 30.0), centre=(30.0, 30.0),
-                     rotation=rotation, translation=-rotation @ [0, 0, height])
-    return replace(view, camera=camera)
-
-
-@pytest.mark.parametrize("box, share", [
-    (((-1, -1, 0), (0, 1, 0)), 0.125),  # 4 x 4 of the ground are in the image from a height of 2
-    (((-9, -9, 0), (0, 9, 0)), 0.5),
-    (((0, 0, 0), (9, 9, 1)), 0.25),
-    (((0, -9, 0), (1, 9, 1)), 0.5),  # from the height of 1 its top fills 1 of 2
-    (((-9, -9, -9), (9, 9, 9)), 1),  # around the camera
-    (((-9, -9, 3), (9, 9, 4)), 0),  # behind it
-    (((5, -1, 0), (6, 1, 1)), 0)])
-def test_vastgs_measures_the_share_of_an_image(box, share):
-    data = PartitionInput.of(replace(field(), views=(looking_down(2.0), *field().views[1:])))
-    space = Space(np.eye(3), np.zeros(3), np.ones(3))
-    origin, rays = _rays(data, space, 0, data.scene.views[0].camera)
-    assert _meet(origin, rays, np.array([box], float)).mean() == pytest.approx(share, abs=0.01)
-
-
-def test_vastgs_assigns_views_by_what_they_show():
-    scene = field(cameras=60)
-    partition = cut(scene, "vastgs", (2, 1))
-    border = partition.regions[0].high[0]
-    u = partition.space.to(np.array([v.camera.position for v in scene.views]))[:, 0]
-    over = 0
-    for number, region in enumerate(partition.regions):
-        stands = region.reaches(np.array([v.camera.position for v in scene.views]))
-        taken = np.isin(np.arange(60), partition.views[number])
-        assert taken[stands].all() and not taken[~stands & (np.abs(u - border) > 0.7)].any()
-        over += (taken & ~stands).sum()
-    assert over  # tilted ones look over the border
 
 
 @pytest.mark.parametrize("needed, aspect, grid", [
@@ -185,10 +135,3 @@ def test_vastgs_assigns_views_by_what_they_show():
     (8, 2, (4, 2)), (3600, 1, (60, 60)), (6, 1.5, (3, 2)), (7, 1, (3, 3))])
 def test_the_grid_follows_need_and_aspect(needed, aspect, grid):
     assert choose_grid(needed, aspect) in (grid, grid[::-1] if aspect == 1 else grid)
-
-
-@pytest.mark.parametrize("values, share, expected", [
-    ([1, 2, 3, 4], 0.5, 2.5), ([4, 1, 3, 2], 0.25, 1.5), ([1, 1, 1, 5], 0.5, 3),
-    ([2, 2, 2], 0.5, None), ([], 0.5, None)])
-def test_cuts_run_between_distinct_values(values, share, expected):
-    assert best_cut(np.array(values, float), np.ones(len(values)), share) == expected

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 
-from clsplat.partition.make import METHODS
+from clsplat.partition.options import METHODS
 from clsplat.report.map import _centroid, partition_map
 from tests.data.fields import cut, field, moved, world
 

@@ -26,8 +26,7 @@ from clsplat.io.records import digest_of, object_of, write_object
 from clsplat.io.runs.learned import EXPOSURES, read_exposures, write_exposures
 from clsplat.io.runs.run import CITY, FILES, RunFolder
 from clsplat.io.scenes.write import link_again, write_scene
-from clsplat.partition.partition import Partition
-from clsplat.partition.region import Region
+from clsplat.partition.region import DAMAGED, Partition, Region
 from clsplat.response import Response
 from clsplat.scene import Scene
 
@@ -106,7 +105,7 @@ class CityFolder:
             if scene is not None:
                 partition.check_views(len(scene.views))
             return partition
-        except ValueError as error:
+        except DAMAGED as error:
             raise InputError(f"{self.path / PARTITION}: damaged ({reason(error)}); make it again "
                              f"with `clsplat partition {self.path}`") from None
 
@@ -211,7 +210,7 @@ class BlockFolder:
                                                    for each in visits.values()):
                 raise ValueError("the visits of its views are not positive numbers")
             return Region.from_record(record), visits
-        except ValueError as error:
+        except DAMAGED as error:
             raise InputError(f"{path}: damaged ({reason(error)}); partition the city again"
                              ) from None
 
