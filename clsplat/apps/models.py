@@ -23,15 +23,20 @@ log = logging.getLogger(__name__)
 VIEWERS_UP = np.array([0.0, -1.0, 0.0])  # of SuperSplat and others, in the axes of a PLY
 
 
-def supported(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.bool_]:
-    """bool[N]: whether at least LEAST_VIEWS photos show the place of a gaussian, hidden there or
-    not, as on a map; all, with a warning, if that holds for none. The photos' cameras are in
-    original coordinates up to their offsets."""
+def support(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.int64]:
+    """int64[N]: how many photos show the place of each gaussian, hidden there or not, as on a map.
+    The photos' cameras are in original coordinates up to their offsets."""
     shifted = [camera.shifted(gaussians.offset - camera.offset) for camera in photos]
-    shown = shown_by(shifted, gaussians.positions.astype(np.float64)) >= LEAST_VIEWS
+    return shown_by(shifted, gaussians.positions.astype(np.float64))
+
+
+def supported(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.bool_]:
+    """bool[N]: whether at least LEAST_VIEWS photos show the place of a gaussian, see `support`;
+    all, with a warning, if that holds for none."""
+    shown = support(gaussians, photos) >= LEAST_VIEWS
     if shown.any() or not gaussians.count:
         return shown
-    if shifted:
+    if photos:
         log.warning("no two photos show any of the %s gaussians, so all are kept",
                     f"{gaussians.count:,}")
     return np.ones(gaussians.count, bool)

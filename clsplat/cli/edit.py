@@ -40,9 +40,7 @@ def amount_of(text: str) -> float:
               help="File to write; its suffix selects the format.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--scene", type=click.Path(path_type=Path),
-              help="Scene whose views tell what is seen; default for a run: its own scene.")
-@click.option("--device", default="auto", show_default=True,
-              help="To render the training views: as for `clsplat eval`.")
+              help="Scene with the photos for --min-support; default for a run: its own scene.")
 @click.option("--box", nargs=6, type=float, **CROP, metavar="X0 Y0 Z0 X1 Y1 Z1",
               help="Keep what is in this box; inf and -inf leave a side open.")
 @click.option("--polygon", **CROP, metavar="FILE|CORNERS",
@@ -61,9 +59,7 @@ def amount_of(text: str) -> float:
               help="Remove gaussians whose largest standard deviation, in units of the scene, is "
               "more than this.")
 @click.option("--min-support", type=click.IntRange(min=0), default=0, **CLEAN,
-              help="Remove gaussians that fewer training views see. For files without --scene: "
-              "those that have fewer neighbours within 10 times the typical distance between "
-              "gaussians.")
+              help="Remove gaussians at places that fewer photos show.")
 @click.option("--decimate", type=Parsed("SHARE|COUNT", amount_of), **CLEAN,
               help="Merge neighbours until this share, such as 0.5, or this number of gaussians is "
               "left.")
@@ -74,7 +70,7 @@ def amount_of(text: str) -> float:
               "of the scene; a positive angle about z turns x towards y.")
 @click.option("--translate", nargs=3, type=FINITE, default=(0.0, 0.0, 0.0), **MOVE,
               metavar="X Y Z", help="Then move by this, in units of the scene.")
-def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | None, device: str,
+def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | None,
          box: tuple[float, ...] | None, polygon: str | None, coordinates: str, outside: bool,
          min_opacity: float, max_size: float | None, min_support: int, decimate: float | None,
          scale: float, rotate: tuple[float, ...] | None, translate: tuple[float, ...]) -> None:
@@ -91,9 +87,8 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
 
     from clsplat.apps.edit import Source, joined
     from clsplat.cli.progress import Progress
-    from clsplat.device import choose_device
     from clsplat.edit.decimate import decimated
-    from clsplat.edit.select import neighbours, used_sh_degree
+    from clsplat.edit.select import used_sh_degree
     from clsplat.io.models.formats import format_of, write_model
     from clsplat.io.models.values import opacities
     format_of(output)
@@ -113,9 +108,6 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
             source = Source.open(path)
             if output.exists() and path.is_file() and output.samefile(path):
                 raise InputError(f"{output}: is one of the models; name another file")
-            if min_support and (source.run is not None or scene is not None):
-                source = source.measured(choose_device(device), scene, partial(
-                    progress.count, "rendering view"))
             if box or polygon:
                 keep = np.ones(source.gaussians.count, bool)
                 if box:
@@ -130,12 +122,9 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
             if max_size is not None:
                 largest = source.gaussians.log_scales.max(axis=1)
                 source = kept(source, largest <= np.log(max_size), f"are larger than {max_size:g}")
-            if min_support and source.support is not None:
-                source = kept(source, source.support >= min_support,
-                              f"are seen by fewer than {min_support} training views")
-            elif min_support:
-                source = kept(source, neighbours(source.gaussians, min_support) >= min_support,
-                              f"have fewer than {min_support} neighbours")
+            if min_support:
+                source = kept(source, source.support(scene) >= min_support,
+                              f"lie where fewer than {min_support} photos look")
             sources.append(source)
         source = joined(sources)
         if decimate is not None:
@@ -146,11 +135,12 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
             # about the fixed axes, x first
             turn = Rotation.from_euler("xyz", rotate, degrees=True).as_matrix() if rotate else None
             source = source.transformed(scale, turn, translate)
-            if sources[0].georeference and not source.georeference:
+            if sources[0].notes.georeference and not source.notes.georeference:
                 progress.message("the georeference is left out: it does not hold after --scale or "
                                  "--rotate")
         progress.phase(f"writing {output}")
         gaussians = source.gaussians.with_sh_degree(used_sh_degree(source.gaussians))
-        write_model(output, gaussians, source.comments, source.up, source.georeference)
+        notes = source.notes
+        write_model(output, gaussians, notes.comments, notes.up, notes.georeference)
     click.echo(f"{output}: {gaussians.count:,} gaussians, spherical harmonics to degree "
                f"{gaussians.sh_degree}")

@@ -1,19 +1,16 @@
-"""Which gaussians of a model to keep: those in polygons, without floaters."""
+"""Some gaussians of a model, or those of several."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from clsplat.constants import ALPHA_STEPS
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.models.values import opacities
 
-NEAR = 10.0  # times the median distance of a gaussian to the nearest other: who is a neighbour
 TAIL_SHARE = 0.01  # of positions at each end of each axis that do not make a part long
-Polygon = Sequence[NDArray[np.float64]]  # its outline and its holes, [K, 2] each
 
 
 def selected(gaussians: Gaussians, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Gaussians:
@@ -27,23 +24,6 @@ def selected(gaussians: Gaussians, keep: NDArray[np.bool_] | NDArray[np.intp]) -
                      gaussians.sh_degree, gaussians.offset)
 
 
-def in_polygons(points: NDArray[np.float64], polygons: Sequence[Polygon]) -> NDArray[np.bool_]:
-    """bool[N]: whether points [N, 2] lie in one of some polygons, but not in its holes."""
-    inside = np.zeros(len(points), bool)
-    x, y = points.T
-    for rings in polygons:
-        odd = np.zeros(len(points), bool)
-        for ring in rings:
-            for (x0, y0), (x1, y1) in zip(ring, np.roll(ring, -1, axis=0)):
-                if y0 == y1:
-                    continue
-                # a ray to the right crosses the edge
-                crossed = (y0 <= y) != (y1 <= y)
-                odd ^= crossed & (x < x0 + (y - y0) / (y1 - y0) * (x1 - x0))
-        inside |= odd
-    return inside
-
-
 def used_sh_degree(gaussians: Gaussians) -> int:
     """The highest degree of the spherical harmonics that is not zero everywhere."""
     degree = gaussians.sh_degree
@@ -55,23 +35,6 @@ def used_sh_degree(gaussians: Gaussians) -> int:
 def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
     """bool[N]: whether gaussians are visible: the renderer skips alpha below 1 / ALPHA_STEPS."""
     return opacities(gaussians) >= 1 / ALPHA_STEPS
-
-
-def neighbours(gaussians: Gaussians, most: int) -> NDArray[np.intp]:
-    """int[N]: how many other gaussians are near each, at most `most`.
-
-    Near is within NEAR times the median distance of a gaussian to the nearest other one, so that it
-    does not depend on the units.
-    """
-    if gaussians.count < 2:
-        return np.zeros(gaussians.count, np.intp)
-    positions = gaussians.positions.astype(np.float64)
-    tree = cKDTree(positions)
-    spacing = np.median(tree.query(positions, k=2)[0][:, 1])
-    within = tree.query(positions, k=min(most, gaussians.count - 1) + 1,
-                        distance_upper_bound=np.nextafter(NEAR * spacing, np.inf))[0]
-    count: NDArray[np.intp] = np.isfinite(within).sum(axis=1) - 1  # without itself
-    return count
 
 
 def halves(positions: NDArray[np.floating], rows: NDArray[np.intp]

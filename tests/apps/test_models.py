@@ -44,10 +44,10 @@ def test_dead_gaussians_change_no_pixel(float_device, city):
     assert np.array_equal(*images) and images[0].std() > 0.01
 
 
-def run_with(folder, gaussians, **options):
+def run_with(folder, gaussians, offset=(5e6, 0, 0)):
     run = RunFolder.create(folder)
-    run.write_options({"scene": str(CITY), "downscale": 8.0, **options})
-    run.save_model(gaussians, [5e6, 0, 0], comments=("SplatRenderMode: default",))
+    run.write_options({"scene": str(CITY), "downscale": 8.0})
+    run.save_model(gaussians, offset, comments=("SplatRenderMode: default",))
     return run
 
 
@@ -73,6 +73,18 @@ def test_export_leaves_out_what_carries_nothing(tmp_path, city):
     assert export().exit_code == 0
     assert (read_ply(output).sh_degree, read_ply(output).count) == (3, 298)
     assert export("--sh-degree", 0).exit_code == 0 and read_ply(output).sh_degree == 0
+
+
+def test_edit_removes_what_few_photos_show(tmp_path, city):
+    gaussians = sampled(city, 60, 3)
+    gaussians.positions[[3, 5], 2] += 1e4
+    run = run_with(tmp_path / "run", gaussians, city.offset)
+    clsplat_("export", run.path, "-o", tmp_path / "a.ply")
+    for source in ((run.path,), (tmp_path / "a.ply", "--scene", CITY)):
+        output = tmp_path / "out.ply"
+        result = clsplat_("edit", *source, "-o", output, "--overwrite", "--min-support", 2)
+        assert "2 of 60 gaussians lie where fewer than 2 photos look" in result.output
+        assert read_ply(output).count == 58 and read_ply(output).positions.max() < 1e3
 
 
 @pytest.fixture
