@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.io.scenes.colmap_files import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import write_colmap
 from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
 from tests.io.photos.test_metadata import photo
@@ -47,8 +47,7 @@ def test_portraits_stand_upright_however_they_are_stored(tmp_path, stored_uprigh
         views.append(View(f"{len(views):02d}.jpg", camera, Path("none")))
         photo(tmp_path / "images" / views[-1].name, {"Orientation": 1 if stored_upright else 6},
               size=(camera.width, camera.height))
-    write_colmap(tmp_path / "sparse/0", views, places, np.zeros((50, 3), np.uint8),
-                 Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2))))
+    write_colmap(tmp_path / "sparse/0", views, places, np.zeros((50, 3), np.uint8))
     scene = read_scene(tmp_path)
     assert scene.up @ (0, 0, 1) > 0.99
     assert scene.first_view.rotation[1] @ scene.up < -0.9  # its downward axis

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import plyfile
 
-from clsplat.io.scenes.colmap_files import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import write_colmap
 
 OPENGL = np.array([1.0, -1.0, -1.0])  # camera axes right, down, forward to right, up, back
 # world axes of Mega-NeRF: right, down, forward to down, right, back
@@ -121,12 +121,9 @@ def write_model(folder, scene, views, points):
     seen = scene.observations
     seen = seen[np.isin(seen[:, 0], points) & np.isin(seen[:, 1], list(place))]
     view = np.array([place[number] for number in seen[:, 1]])
-    pixels = np.empty((len(seen), 2))
-    for number, one in enumerate(views):
-        pixels[view == number], _ = one.camera.project(scene.points[seen[view == number, 0]])
     moved = [replace(view, camera=view.camera.shifted(-scene.offset)) for view in views]
-    write_colmap(folder, moved, world_points(scene)[points], scene.colours[points], Tracks(
-        np.searchsorted(points, seen[:, 0]), view, pixels))
+    write_colmap(folder, moved, world_points(scene)[points], scene.colours[points],
+                 np.column_stack([np.searchsorted(points, seen[:, 0]), view]))
 
 
 def write_citygs(folder, scene, held_out, photos="images"):

@@ -8,7 +8,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from clsplat.io.photos.metadata import PhotoMetadata
-from clsplat.io.scenes.colmap_files import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import write_colmap
 from tests.data.fields import field
 
 ORIGIN = np.array([587671.0, 3338100.0, 309.0])  # in UTM zone 14 north
@@ -35,14 +35,9 @@ class Survey:
             rotation = camera.rotation @ turn.T
             views.append(replace(view, name=name, camera=replace(
                 camera, rotation=rotation, translation=factor * camera.translation)))
-        points, observations = scene.points, scene.observations
-        pixels = np.empty((len(observations), 2))
-        for number, view in enumerate(scene.views):
-            rows = observations[:, 1] == number
-            pixels[rows] = view.camera.project(points[observations[rows, 0]])[0]
-        write_colmap(folder / "sparse" / "0", views, factor * points @ turn.T, scene.colours,
-                     Tracks(observations[:, 0], observations[:, 1], pixels))
-        self.scene, self.points = scene, ORIGIN + SCALE * points
+        write_colmap(folder / "sparse" / "0", views, factor * scene.points @ turn.T, scene.colours,
+                     scene.observations)
+        self.scene, self.points = scene, ORIGIN + SCALE * scene.points
         self.centres = ORIGIN + SCALE * np.array([v.camera.position for v in scene.views])
 
     def reconstruction(self):

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.io.photos.images import write_image
-from clsplat.io.scenes.colmap_files import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import write_colmap
 from clsplat.io.scenes.read import read_scene
 from tests.data.tiny_model import HEIGHT, WIDTH, reconstruction, write_scene
 
@@ -41,17 +41,14 @@ def lost_pose(folder):
     shutil.rmtree(folder / "sparse")
     lost = scene.views[2]
     lost = replace(lost, camera=replace(lost.camera, translation=np.full(3, np.nan)))
-    none = np.zeros(0, int)
     write_colmap(folder / "sparse/0", (*scene.views[:2], lost, scene.views[3]), scene.points,
-                 scene.colours, Tracks(none, none, np.zeros((0, 2))))
+                 scene.colours)
 
 
 def single_photo(folder):
     scene = read_scene(folder)
     shutil.rmtree(folder / "sparse")
-    none = np.zeros(0, int)
-    write_colmap(folder / "sparse/0", scene.views[:1], scene.points, scene.colours,
-                 Tracks(none, none, np.zeros((0, 2))))
+    write_colmap(folder / "sparse/0", scene.views[:1], scene.points, scene.colours)
 
 
 def left(count, made):

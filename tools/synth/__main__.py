@@ -12,7 +12,7 @@ import numpy as np
 from clsplat.errors import InputError
 from clsplat.io.folders import make_folder, new_folder
 from clsplat.io.photos.images import write_image
-from clsplat.io.scenes.colmap_files import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import write_colmap
 from clsplat.scene import View
 from tools.synth.city import geometry_json, lay_out
 from tools.synth.raycast import render
@@ -37,7 +37,6 @@ def synthesise(folder, blocks=(2, 2), views=32, size=(320, 240), seed=0):
     points, point, view, pixels = observe(city, cameras, seed)
     if not len(points):
         raise InputError(f"{folder}: no two of {views} views see the same point; use more views")
-    tracks = Tracks(point, view, pixels)
     texture = Texture(city)
     colours = np.zeros((len(points), 3))
     digits = max(3, len(str(views - 1)))
@@ -50,12 +49,12 @@ def synthesise(folder, blocks=(2, 2), views=32, size=(320, 240), seed=0):
             name = f"{number:0{digits}d}.jpg"
             photos.append(View(name, camera, folder / "images" / name))
             write_image(photos[-1].source, image)
-            rows = tracks.views == number
-            column, row = tracks.pixels[rows].astype(int).T
-            colours[tracks.points[rows]] += image[row, column]
-        colours /= np.bincount(tracks.points)[:, None]
+            rows = view == number
+            column, row = pixels[rows].astype(int).T
+            colours[point[rows]] += image[row, column]
+        colours /= np.bincount(point)[:, None]
         write_colmap(folder / "sparse" / "0", photos, points, np.round(colours).astype(np.uint8),
-                     tracks)
+                     np.column_stack([point, view]), pixels)
     return len(points), len(point)
 
 

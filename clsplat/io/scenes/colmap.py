@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,15 +14,7 @@ from clsplat.errors import InputError
 from clsplat.io.photos.lenses import undistorted_model
 from clsplat.io.reason import reason
 from clsplat.io.scenes.checks import checked_scene
-from clsplat.io.scenes.colmap_files import (
-    PARTS,
-    PINHOLES,
-    Camera,
-    Image,
-    Points,
-    places_within,
-    read_part,
-)
+from clsplat.io.scenes.colmap_files import PARTS, PINHOLES, read_part
 from clsplat.io.scenes.sources import IMAGES, checked_photos, photo_folder
 from clsplat.scene import Scene
 
@@ -108,7 +98,42 @@ def read_model(folder: Path, may_be_empty: Collection[str] = ()
     may_be_empty : parts that may be empty, such as points3D of test views.
     """
     model = _find_model(folder)
-    return model, _model_arrays(model, may_be_empty)
+    listed, images, points = (_part_of(model, part, part in may_be_empty) for part in PARTS)
+    images = sorted(images, key=lambda image: image.name)
+    ids = np.array([image.number for image in images], np.int64)
+    for part, numbers in (("cameras", np.array([camera.number for camera in listed])),
+                          ("images", ids), ("points3D", points.ids)):
+        values, counts = np.unique(numbers, return_counts=True)
+        if len(values) < len(numbers):
+            raise InputError(f"{model}: {part} holds id {values[np.argmax(counts)]} twice; "
+                             "copy the model again, or reconstruct the scene")
+    cameras = {camera.number: camera for camera in listed}
+    for image in images:
+        if image.camera not in cameras:
+            raise InputError(f"{model}: image {image.name[:80]} has camera {image.camera}, which "
+                             "is not in the model; copy the whole model again")
+    used = [cameras[image.camera] for image in images]
+    order, by_id = np.argsort(points.ids), np.argsort(ids)
+    image_of = by_id[np.searchsorted(ids[by_id], points.images).clip(max=len(ids) - 1)]
+    seen = np.stack([np.argsort(order)[points.rows], image_of], axis=1)
+    # fx, fy, cx, cy; 0 for models with distortion, whose photos get another camera
+    pinholes = np.array([
+        (camera.parameters[0], *camera.parameters[-3:]) if camera.model in PINHOLES else 4 * (0,)
+        for camera in used], np.float64)
+    arrays = {
+        "names": np.array([image.name for image in images], dtype=np.str_),
+        "rotations": _rotations(np.array([image.quaternion for image in images])),
+        "translations": np.array([image.translation for image in images]),
+        "focals": pinholes[:, :2], "centres": pinholes[:, 2:],
+        "sizes": np.array([(min(camera.width, LONGEST_SIDE), min(camera.height, LONGEST_SIDE))
+                           for camera in used], np.int64),
+        "points": points.positions[order],
+        "colours": points.colours[order],
+        "observations": seen[ids[image_of] == points.images],  # other images are not in the model
+    }
+    return model, undistorted_model(model, arrays, [
+        None if camera.model in PINHOLES else (camera.model, camera.parameters)
+        for camera in used])
 
 
 def has_model(folder: Path) -> bool:
@@ -147,68 +172,22 @@ def _bytes(model: Path) -> int:
     return max((path.stat().st_size for path in model.glob("images.*")), default=0)
 
 
-def _model_arrays(model: Path, may_be_empty: Collection[str]) -> dict[str, NDArray[Any]]:
-    listed, images, points = _model_parts(model, may_be_empty)
-    cameras = {camera.number: camera for camera in listed}
-    _check_ids(model, "cameras", np.array([camera.number for camera in listed], np.int64))
-    images = sorted(images, key=lambda image: image.name)
-    for image in images:
-        if image.camera not in cameras:
-            raise InputError(f"{model}: image {image.name[:80]} has camera {image.camera}, which "
-                             "is not in the model; copy the whole model again")
-    used = [cameras[image.camera] for image in images]
-    ids = np.array([image.number for image in images], np.int64)
-    _check_ids(model, "images", ids)
-    _check_ids(model, "points3D", points.ids)
-    order = np.argsort(points.ids)
-    # fx, fy, cx, cy; 0 for models with distortion, whose photos get another camera
-    pinholes = np.array([
-        (camera.parameters[0], *camera.parameters[-3:]) if camera.model in PINHOLES else 4 * (0,)
-        for camera in used], np.float64).reshape(-1, 4)
-    arrays = {
-        "names": np.array([image.name for image in images], dtype=np.str_),
-        "rotations": _rotations(np.array([image.quaternion for image in images]).reshape(-1, 4)),
-        "translations": np.array([image.translation for image in images]).reshape(-1, 3),
-        "focals": pinholes[:, :2], "centres": pinholes[:, 2:],
-        "sizes": np.array([(min(camera.width, LONGEST_SIDE), min(camera.height, LONGEST_SIDE))
-                           for camera in used], np.int64).reshape(-1, 2),
-        "points": points.positions[order],
-        "colours": points.colours[order],
-        "observations": _observations(ids, points, order),
-    }
-    return undistorted_model(model, arrays, [
-        None if camera.model in PINHOLES else (camera.model, camera.parameters)
-        for camera in used])
-
-
-def _model_parts(model: Path, may_be_empty: Collection[str] = ()
-                 ) -> tuple[list[Camera], list[Image], Points]:
-    kind = "bin" if any((model / f"{part}.bin").exists() for part in PARTS) else "txt"
-    content = []
-    for part in PARTS:
-        path = model / f"{part}.{kind}"
-        try:
-            content.append(read_part(path, part))
-        except FileNotFoundError:
-            raise InputError(f"{path}: missing from the COLMAP model; copy the whole model"
-                             ) from None
-        except ValueError as error:
-            raise InputError(f"{path}: {error}; copy the model again") from None
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions"
-                             ) from None
-        count = len(content[-1].ids if part == "points3D" else content[-1])
-        if not (count or part in may_be_empty):
-            raise InputError(f"{path}: holds no {part}; reconstruct the scene again")
-    cameras, images, points = content
-    return cameras, images, points
-
-
-def _check_ids(model: Path, part: str, ids: NDArray[np.int64]) -> None:
-    values, counts = np.unique(ids, return_counts=True)
-    if len(values) < len(ids):
-        raise InputError(f"{model}: {part} holds id {values[np.argmax(counts)]} twice; "
-                         "copy the model again, or reconstruct the scene")
+def _part_of(model: Path, part: str, may_be_empty: bool) -> Any:
+    """One of the lists of `read_part` of a model, which is binary if any of its files is."""
+    kind = "bin" if any((model / f"{each}.bin").exists() for each in PARTS) else "txt"
+    path = model / f"{part}.{kind}"
+    try:
+        content = read_part(path, part)
+    except FileNotFoundError:
+        raise InputError(f"{path}: missing from the COLMAP model; copy the whole model") from None
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; copy the model again") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions"
+                         ) from None
+    if not (may_be_empty or len(content.ids if part == "points3D" else content)):
+        raise InputError(f"{path}: holds no {part}; reconstruct the scene again")
+    return content
 
 
 def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -228,70 +207,18 @@ def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
             tz * x - ty * w, tz * y + tx * w, 1 - (tx * x + ty * y)], axis=1).reshape(-1, 3, 3)
 
 
-def _observations(ids: NDArray[np.int64], points: Points, order: NDArray[np.int64]
-                  ) -> NDArray[np.int32]:
-    """int32[M, 2], indices (point, image) of the observations in images that the model has."""
-    begins = np.cumsum(points.lengths) - points.lengths
-    lengths = points.lengths[order]
-    rows = np.repeat(np.arange(len(order)), lengths)
-    images = points.images[np.repeat(begins[order], lengths) + places_within(lengths)]
-    by_id = np.argsort(ids)
-    if not len(ids):
-        return np.zeros((0, 2), np.int32)
-    place = by_id[np.minimum(np.searchsorted(ids[by_id], images), len(ids) - 1)]
-    known = ids[place] == images
-    return np.stack([rows[known], place[known]], axis=1).astype(np.int32)
-
-
 def read_reconstruction(model: Path) -> pycolmap.Reconstruction:
-    """Read a model that `read_model` has passed.
-
-    pycolmap cuts names in a text at their first blank. It does not read tracks whose images lack
-    their observations, which then become the projections of the points.
-    """
+    """Read a model that `read_model` has passed, with whole names: pycolmap cuts those in a text
+    at their first blank."""
     import pycolmap
 
-    cameras, images, points = _model_parts(model, ("points3D",))
     try:
         reconstruction = pycolmap.Reconstruction(model)
     except IndexError:
-        reconstruction = _rebuilt(cameras, images, points)
-    for image in images:
+        raise InputError(f"{model}: its images lack the observations of its points; write the "
+                         "scene anew with `clsplat pack`, and give that") from None
+    for image in _part_of(model, "images", False):
         reconstruction.images[image.number].name = image.name
-    return reconstruction
-
-
-def _rebuilt(cameras: Sequence[Camera], images: Sequence[Image], points: Points
-             ) -> pycolmap.Reconstruction:
-    """With the projections of the points as observations."""
-    import pycolmap
-
-    seen: defaultdict[int, list[int]] = defaultdict(list)  # ids of points by image
-    rows = []
-    for number, position, colour, track in zip(
-            points.ids.tolist(), points.positions.tolist(), points.colours.tolist(),
-            np.split(points.images, np.cumsum(points.lengths)[:-1])):
-        row = [number, *position, *colour, 0.5]
-        for image in track.tolist():
-            row += [image, len(seen[image])]
-            seen[image].append(number)
-        rows.append(row)
-    with TemporaryDirectory() as folder:
-        for part, lines in (
-                ("cameras", [[camera.number, camera.model, camera.width, camera.height,
-                              *camera.parameters] for camera in cameras]),
-                ("images", [line for image in images for line in (
-                    [image.number, *image.quaternion, *image.translation, image.camera,
-                     image.number],
-                    [word for number in seen[image.number] for word in (0, 0, number)])]),
-                ("points3D", rows)):
-            text = "\n".join(" ".join(map(str, line)) for line in lines)
-            (Path(folder) / f"{part}.txt").write_text(text + "\n", encoding="utf-8")
-        reconstruction = pycolmap.Reconstruction(folder)
-    for image in reconstruction.images.values():
-        for point in image.points2D:
-            pixel = image.project_point(reconstruction.points3D[point.point3D_id].xyz)
-            point.xy = np.zeros(2) if pixel is None else pixel
     return reconstruction
 
 

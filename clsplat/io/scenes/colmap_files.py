@@ -8,8 +8,7 @@ Format: https://colmap.github.io/format.html.
 import codecs
 import mmap
 import struct
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,13 +30,13 @@ CAMERA_MODELS = {
     "SIMPLE_DIVISION": 4, "DIVISION": 5, "SIMPLE_FISHEYE": 3, "FISHEYE": 4, "EUCM": 6,
     "EQUIRECTANGULAR": 2}
 PINHOLES = ("SIMPLE_PINHOLE", "PINHOLE")
-CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the parameters
-IMAGE = struct.Struct("<I7dI")  # id, quaternion (wxyz), translation, camera's id; then the name
-OBSERVATION = np.dtype([("pixel", "<f8", 2), ("point", "<u8")])  # of a point in an image
-POINT = np.dtype([("id", "<u8"), ("position", "<f8", 3), ("colour", "u1", 3), ("error", "<f8"),
-                  ("length", "<u8")])  # then the track
-TRACK_LENGTH = struct.Struct("<Q")
-TRACK = np.dtype([("image", "<u4"), ("observation", "<u4")])
+_CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the parameters
+_IMAGE = struct.Struct("<I7dI")  # id, quaternion (wxyz), translation, camera's id; then the name
+_OBSERVATION = np.dtype([("pixel", "<f8", 2), ("point", "<u8")])  # of a point in an image
+_POINT = np.dtype([("id", "<u8"), ("position", "<f8", 3), ("colour", "u1", 3), ("error", "<f8"),
+                   ("length", "<u8")])  # then the track
+_LENGTH = struct.Struct("<Q")
+_TRACK = np.dtype([("image", "<u4"), ("observation", "<u4")])
 
 
 class Camera(NamedTuple):
@@ -61,19 +60,14 @@ class Image(NamedTuple):
 
 
 class Points(NamedTuple):
-    """N points in the order of the file: `lengths` [N] are those of their tracks, and `images` the
-    image ids of all tracks, one track after the other."""
+    """N points in the order of the file, and the observations in their tracks: the row of a point
+    and the id of an image each."""
 
     ids: NDArray[np.int64]
     positions: NDArray[np.float64]
     colours: NDArray[np.uint8]
-    lengths: NDArray[np.int64]
+    rows: NDArray[np.int64]
     images: NDArray[np.int64]
-
-
-def places_within(lengths: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Count from 0 within consecutive groups of these lengths: 2, 3 give 0, 1, 0, 1, 2."""
-    return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
 
 
 def read_part(path: Path, part: str) -> Any:
@@ -88,9 +82,9 @@ def _read_binary(path: Path, part: str) -> Any:
         if size < 8:
             raise ValueError(f"empty or cut short ({size} bytes)")
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    count = struct.unpack_from("<Q", data)[0]
+    count, = _LENGTH.unpack_from(data)
     try:
-        return BINARY[part](data, count)
+        return _BINARY[part](data, count)
     except (struct.error, IndexError, OverflowError):
         raise ValueError(f"cut short ({size} bytes are too few for its {count} {part})") from None
 
@@ -99,11 +93,11 @@ def _binary_cameras(data: mmap.mmap, count: int) -> list[Camera]:
     cameras: list[Camera] = []
     position, models = 8, list(CAMERA_MODELS.items())
     for _ in range(count):
-        number, model, width, height = CAMERA.unpack_from(data, position)
+        number, model, width, height = _CAMERA.unpack_from(data, position)
         if not 0 <= model < len(models):
             raise ValueError(f"camera {number} has a model that COLMAP does not have ({model})")
         name, parameters = models[model]
-        position += CAMERA.size
+        position += _CAMERA.size
         cameras.append(Camera(number, name, width, height,
                               struct.unpack_from(f"<{parameters}d", data, position)))
         position += 8 * parameters
@@ -113,8 +107,8 @@ def _binary_cameras(data: mmap.mmap, count: int) -> list[Camera]:
 def _binary_images(data: mmap.mmap, count: int) -> list[Image]:
     images, position = [], 8
     for _ in range(count):
-        number, *pose, camera = IMAGE.unpack_from(data, position)
-        begin = position + IMAGE.size
+        number, *pose, camera = _IMAGE.unpack_from(data, position)
+        begin = position + _IMAGE.size
         end = data.find(b"\0", begin)
         if end < 0:
             raise IndexError
@@ -122,8 +116,8 @@ def _binary_images(data: mmap.mmap, count: int) -> list[Image]:
             name = data[begin:end].decode()
         except UnicodeDecodeError:
             raise ValueError(f"the name of image {number} is not UTF-8") from None
-        observed, = struct.unpack_from("<Q", data, end + 1)
-        position = end + 9 + OBSERVATION.itemsize * observed
+        observed, = _LENGTH.unpack_from(data, end + 1)
+        position = end + 9 + _OBSERVATION.itemsize * observed
         images.append(Image(number, pose[:4], pose[4:], camera, name))
     if position > len(data):
         raise IndexError
@@ -131,30 +125,23 @@ def _binary_images(data: mmap.mmap, count: int) -> list[Image]:
 
 
 def _binary_points(data: mmap.mmap, count: int) -> Points:
-    begins, position, before = [], 8, POINT.itemsize - 8
+    heads, tracks, position = [], [], 8
     for _ in range(count):
-        begins.append(position)
-        position += POINT.itemsize + TRACK.itemsize * TRACK_LENGTH.unpack_from(
-            data, position + before)[0]
+        begin = position + _POINT.itemsize
+        length, = _LENGTH.unpack_from(data, begin - _LENGTH.size)
+        heads.append(data[position:begin])
+        position = begin + _TRACK.itemsize * length
+        tracks.append(data[begin:position])
     if position > len(data):
         raise IndexError
-    content, places = np.frombuffer(data, np.uint8), np.array(begins, np.int64)
-    points = _records(content, places, POINT)
-    lengths = points["length"].astype(np.int64)
-    tracks = _records(content, np.repeat(places + POINT.itemsize, lengths)
-                      + TRACK.itemsize * places_within(lengths), TRACK)
-    return Points(points["id"].astype(np.int64), points["position"], points["colour"], lengths,
-                  tracks["image"].astype(np.int64))
+    points = np.frombuffer(b"".join(heads), _POINT)
+    return Points(
+        points["id"].astype(np.int64), points["position"], points["colour"],
+        np.repeat(np.arange(count), points["length"].astype(np.int64)),
+        np.frombuffer(b"".join(tracks), _TRACK)["image"].astype(np.int64))
 
 
-def _records(data: NDArray[np.uint8], places: NDArray[np.int64], dtype: np.dtype[Any]
-             ) -> NDArray[Any]:
-    """The records of `dtype` that begin at these bytes of `data`."""
-    rows: NDArray[Any] = data[places[:, None] + np.arange(dtype.itemsize)].view(dtype)
-    return rows.reshape(len(places))
-
-
-BINARY: dict[str, Callable[[mmap.mmap, int], Any]] = {
+_BINARY: dict[str, Callable[[mmap.mmap, int], Any]] = {
     "cameras": _binary_cameras, "images": _binary_images, "points3D": _binary_points}
 
 
@@ -170,7 +157,7 @@ def _read_text(path: Path, part: str) -> Any:
         if not line.strip() or line.lstrip().startswith(b"#"):
             continue
         try:
-            rows.append(TEXT[part](line))
+            rows.append(_TEXT[part](line))
             if part == "images":
                 _check_observations(next(lines, (0, b""))[1].split())
         except (ValueError, IndexError, OverflowError) as error:
@@ -179,8 +166,8 @@ def _read_text(path: Path, part: str) -> Any:
         return rows
     ids, positions, colours, tracks = zip(*rows) if rows else ((), (), (), ())
     return Points(np.array(ids, np.int64), np.array(positions, np.float64).reshape(-1, 3),
-                  np.array(colours, np.uint8).reshape(-1, 3),
-                  np.array(list(map(len, tracks)), np.int64),
+                  np.frombuffer(b"".join(colours), np.uint8).reshape(-1, 3),
+                  np.repeat(np.arange(len(rows)), np.array(list(map(len, tracks)), np.int64)),
                   np.array([image for track in tracks for image in track], np.int64))
 
 
@@ -210,103 +197,80 @@ def _check_observations(fields: Sequence[bytes]) -> None:
                          "which the second may be empty")
 
 
-def _id(text: bytes) -> int:
+def _id(text: bytes, bits: int = 32) -> int:
     number = int(text)
-    if not 0 <= number < 1 << 32:
-        raise ValueError("an id is not a number of 32 bits")
+    if not 0 <= number < 1 << bits:
+        raise ValueError(f"an id is not a number of {bits} bits")
     return number
 
 
-def _text_point(line: bytes) -> tuple[int, list[float], list[int], list[int]]:
+def _text_point(line: bytes) -> tuple[int, list[float], bytes, list[int]]:
     """The id, the position, the colour and the images of the track."""
     fields = line.split()
     if len(fields) < 8 or len(fields) % 2:
         raise ValueError(f"a point has {len(fields)} numbers")
-    colour = list(map(int, fields[4:7]))
-    if not all(0 <= each <= 255 for each in colour):
-        raise ValueError("a colour is not within 0 to 255")
-    return int(fields[0]), list(map(float, fields[1:4])), colour, list(map(int, fields[8::2]))
+    return (_id(fields[0], 63), list(map(float, fields[1:4])), bytes(map(int, fields[4:7])),
+            list(map(_id, fields[8::2])))
 
 
-TEXT: dict[str, Callable[[bytes], Any]] = {
+_TEXT: dict[str, Callable[[bytes], Any]] = {
     "cameras": _text_camera, "images": _text_image, "points3D": _text_point}
 
 
-@dataclass(frozen=True, eq=False)
-class Tracks:
-    """Observations of points in views.
-
-    Attributes
-    ----------
-    points, views : int[M], indices into the model's points and views.
-    pixels : float64[M, 2], where the point appears in the view.
-    """
-
-    points: NDArray[np.integer]
-    views: NDArray[np.integer]
-    pixels: NDArray[np.float64]
-
-
-def write_colmap(folder: str | Path, views: Sequence[View], points: NDArray[np.float64],
-                 colours: NDArray[np.uint8], tracks: Tracks) -> None:
+def write_colmap(folder: Path, views: Sequence[View], points: NDArray[np.float64],
+                 colours: NDArray[np.uint8], observations: NDArray[np.integer] | None = None,
+                 pixels: NDArray[np.float64] | None = None) -> None:
     """Write cameras.bin, images.bin and points3D.bin into a folder, which is created if missing.
 
-    Ids count from 1 in the order of the arguments; the error of a point is the mean distance in
-    pixels between its projections and its observations.
+    Ids count from 1 in the order of the arguments; the errors of points are unknown.
 
     Parameters
     ----------
     views : those with equal intrinsics share a camera.
-    points : float64[N, 3], world.
-    colours : uint8[N, 3].
+    points, colours : float64[N, 3], world, and uint8[N, 3].
+    observations : int[M, 2], rows (point, view); None: no point is seen.
+    pixels : float64[M, 2], where the points were seen; None: where they project to.
     """
-    folder = Path(folder)
+    point, view = (np.zeros((2, 0), int) if observations is None else observations.T)
+    # the rows of observations of each view, each of which then is a keypoint of its image
+    of_views = np.split(np.argsort(view, kind="stable"),
+                        np.cumsum(np.bincount(view, minlength=len(views)))[:-1])
+    if pixels is None:
+        pixels = np.empty((len(point), 2))
+        for each, rows in zip(views, of_views):
+            pixels[rows], _ = each.camera.project(points[point[rows]])
+    track = np.empty(len(point), _TRACK)
+    track["image"] = view + 1
+    for rows in of_views:
+        track["observation"][rows] = np.arange(len(rows))
+    lengths = np.bincount(point, minlength=len(points))
+    tracks = np.split(track[np.argsort(point, kind="stable")], np.cumsum(lengths)[:-1])
+    heads = np.zeros(len(points), _POINT)
+    heads["id"], heads["position"] = np.arange(1, len(points) + 1), points
+    heads["colour"], heads["error"], heads["length"] = colours, -1, lengths
+    intrinsics = [(each.camera.width, each.camera.height, *each.camera.focal, *each.camera.centre)
+                  for each in views]
+    cameras = {each: number for number, each in enumerate(dict.fromkeys(intrinsics), 1)}
+    pinhole = list(CAMERA_MODELS).index("PINHOLE")
     folder.mkdir(parents=True, exist_ok=True)
-    intrinsics = [(view.camera.width, view.camera.height, *view.camera.focal, *view.camera.centre)
-                  for view in views]
-    camera_ids = {each: number for number, each in enumerate(dict.fromkeys(intrinsics), 1)}
-    by_view = [np.flatnonzero(tracks.views == i) for i in range(len(views))]
-    cameras = (CAMERA.pack(number, list(CAMERA_MODELS).index("PINHOLE"), width, height)
-               + struct.pack("<4d", *parameters)
-               for (width, height, *parameters), number in camera_ids.items())
-    for name, count, chunks in (
-            ("cameras", len(camera_ids), cameras),
-            ("images", len(views), _images(views, [camera_ids[each] for each in intrinsics],
-                                           tracks, by_view)),
-            ("points3D", len(points), _written_points(views, points, colours, tracks, by_view))):
+    for name, count, records in (
+            ("cameras", len(cameras), (
+                _CAMERA.pack(number, pinhole, width, height) + struct.pack("<4d", *parameters)
+                for (width, height, *parameters), number in cameras.items())),
+            ("images", len(views), (
+                _image(number, each, cameras[intrinsics[number - 1]], pixels[rows], point[rows])
+                for number, (each, rows) in enumerate(zip(views, of_views), 1))),
+            ("points3D", len(points), (
+                head.tobytes() + seen.tobytes() for head, seen in zip(heads, tracks)))):
         with replacing(folder / f"{name}.bin") as file:
-            file.write(struct.pack("<Q", count))
-            file.writelines(chunks)
+            file.write(_LENGTH.pack(count))
+            file.writelines(records)
 
 
-def _images(views: Sequence[View], cameras: Sequence[int], tracks: Tracks,
-            by_view: Sequence[NDArray[Any]]) -> Iterator[bytes]:
-    for number, (view, camera, rows) in enumerate(zip(views, cameras, by_view), 1):
-        x, y, z, w = Rotation.from_matrix(view.camera.rotation).as_quat()
-        seen = np.empty(len(rows), OBSERVATION)
-        seen["pixel"], seen["point"] = tracks.pixels[rows], tracks.points[rows] + 1
-        yield (IMAGE.pack(number, w, x, y, z, *view.camera.translation, camera)
-               + view.name.encode() + b"\0" + struct.pack("<Q", len(rows)) + seen.tobytes())
-
-
-def _written_points(views: Sequence[View], points: NDArray[np.float64],
-                    colours: NDArray[np.uint8], tracks: Tracks, by_view: Sequence[NDArray[Any]]
-                    ) -> Iterator[bytes]:
-    keypoint = np.empty(len(tracks.points), int)  # the index of an observation in its image
-    error = np.empty(len(tracks.points))
-    for view, rows in zip(views, by_view):
-        keypoint[rows] = np.arange(len(rows))
-        pixels, _ = view.camera.project(points[tracks.points[rows]])
-        error[rows] = np.linalg.norm(pixels - tracks.pixels[rows], axis=1)
-    order = np.argsort(tracks.points, kind="stable")
-    seen = np.empty(len(order), TRACK)
-    seen["image"], seen["observation"] = tracks.views[order] + 1, keypoint[order]
-    begins, ends = np.searchsorted(
-        tracks.points[order], [np.arange(len(points)), np.arange(1, len(points) + 1)])
-    head = np.zeros(len(points), POINT)
-    head["id"], head["position"] = np.arange(1, len(points) + 1), points
-    head["colour"], head["length"] = colours, ends - begins
-    head["error"] = [error[order[begin:end]].mean() if end > begin else -1.0  # COLMAP: unknown
-                     for begin, end in zip(begins, ends)]
-    for row, begin, end in zip(head, begins, ends):
-        yield row.tobytes() + seen[begin:end].tobytes()
+def _image(number: int, view: View, camera: int, pixels: NDArray[np.float64],
+           points: NDArray[np.integer]) -> bytes:
+    x, y, z, w = Rotation.from_matrix(view.camera.rotation).as_quat()
+    seen = np.empty(len(points), _OBSERVATION)
+    seen["pixel"], seen["point"] = pixels, points + 1
+    return (_IMAGE.pack(number, w, x, y, z, *view.camera.translation, camera)
+            + view.name.encode() + b"\0" + _LENGTH.pack(len(points)) + seen.tobytes())

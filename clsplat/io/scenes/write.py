@@ -12,7 +12,7 @@ from clsplat.io.georeference.files import write_placement
 from clsplat.io.photos.images import encode_image
 from clsplat.io.photos.masks import MASKS
 from clsplat.io.photos.views import read_photo, read_valid
-from clsplat.io.scenes.colmap_files import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import write_colmap
 from clsplat.scene import Scene, View
 
 DEPTH = "depth"  # folder of the depth maps
@@ -34,16 +34,10 @@ def write_scene(folder: Path, scene: Scene, downscale: float = 1.0, linked: bool
     make_folder(folder)
     write_placement(folder, scene)
     views = [replace(view, camera=view.camera.reduced(downscale)) for view in scene.views]
-    known = (np.zeros((0, 2), int) if scene.observations is None else scene.observations)
-    pixels = np.empty((len(known), 2))
-    for number, view in enumerate(views):
-        rows = np.flatnonzero(known[:, 1] == number)
-        pixels[rows] = view.camera.project(scene.points[known[rows, 0]])[0]
     write_colmap(
         folder / "sparse" / "0",
         [replace(view, camera=view.camera.shifted(-scene.offset)) for view in views],
-        scene.points + scene.offset, scene.colours,
-        Tracks(known[:, 0], known[:, 1], pixels))
+        scene.points + scene.offset, scene.colours, scene.observations)
     for view in views:
         kept = downscale == 1 and isinstance(view.source, Path) and not (view.levels or view.lens)
         if not kept:

@@ -9,7 +9,7 @@ from skimage.io import imsave
 from clsplat.densify.sphere import with_spheres
 from clsplat.gaussians import Gaussians, mean_inverse_distance
 from clsplat.io.models.ply import read_ply, write_ply
-from clsplat.io.scenes.colmap_files import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import write_colmap
 from clsplat.io.scenes.read import read_scene
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene, View
@@ -63,9 +63,8 @@ def utm(tmp_path_factory):
         imsave(folder / "images" / f"{name}.png", np.zeros((*SIZE[::-1], 3), np.uint8),
                check_contrast=False)
     views = as_scene(far, colours, *cameras).views
-    point, view = np.indices((len(far), 2)).reshape(2, -1)
-    pixels = np.stack([v.camera.project(far)[0] for v in views], axis=1).reshape(-1, 2)
-    write_colmap(folder / "sparse" / "0", views, far, colours, Tracks(point, view, pixels))
+    observations = np.indices((len(far), 2)).reshape(2, -1).T
+    write_colmap(folder / "sparse" / "0", views, far, colours, observations)
     return read_scene(folder), far, cameras
 
 

@@ -14,7 +14,7 @@ from clsplat.io.georeference.control_points import ControlPoint
 from clsplat.io.georeference.crs import normal_crs
 from clsplat.io.georeference.reconstruction import place_reconstruction, turned
 from clsplat.io.photos.metadata import PhotoMetadata
-from clsplat.io.scenes.colmap_files import Tracks, write_colmap
+from clsplat.io.scenes.colmap_files import write_colmap
 from clsplat.scene import View
 from tests.data.survey import CRS, Survey
 
@@ -102,8 +102,7 @@ def test_portraits_stand_upright_however_they_are_stored(tmp_path, stored_uprigh
         camera = Camera.looking_at((0, 0, 0), position, width=48, height=64)
         camera = camera.turned(0 if stored_upright else 3)
         views.append(View(f"{len(views)}.jpg", camera, Path("none")))
-    write_colmap(tmp_path, views, places, np.zeros((50, 3), np.uint8),
-                 Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2))))
+    write_colmap(tmp_path, views, places, np.zeros((50, 3), np.uint8))
     reconstruction = pycolmap.Reconstruction(tmp_path)
     # the first scene is one whose photos were turned, and the metadata are of the originals
     turned(reconstruction, {view.name: PhotoMetadata(64, 48, orientation=6) for view in views},

@@ -150,7 +150,7 @@ def test_duplicate_ids(tmp_path):
     ("cameras", b" 48 36 ", b" 48 ", ["not a camera model"]),
     ("cameras", b" 48 36 ", b" 48 x ", ["line", "'x'"]),
     ("images", b" photo_0.png", b"", ["an image has 9 fields"]),
-    ("points3D", b" 254 ", b" 256 ", ["0 to 255"]),
+    ("points3D", b" 254 ", b" 256 ", ["range(0, 256)"]),
     ("points3D", b" ", b" nan ", ["line"]), ("points3D", b"0", b"\0", ["not a text file"])])
 def test_a_damaged_line_is_named(tmp_path, part, old, new, words):
     path = write_scene(tmp_path, text=True) / "sparse" / "0" / f"{part}.txt"
