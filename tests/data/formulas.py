@@ -52,14 +52,3 @@ def opensfm(points, camera):
     u, v = fx * x_ + camera.get("c_x", 0.0), fy * y_ + camera.get("c_y", 0.0)
     opencv = max(size) * np.column_stack([u, v]) + (np.array(size) - 1) / 2
     return opencv + 0.5
-
-
-def pix4d_fisheye(points, centre, affine, polynomial):
-    """support.pix4d.com, "How are the internal and external camera parameters defined?"."""
-    x, y, z = points.T
-    r = np.hypot(x, y)
-    t = 2 / np.pi * np.arctan2(r, z)
-    rho = sum(value * t**n for n, value in enumerate(polynomial))
-    c, d, e, f = affine
-    u, v = rho * x / r, rho * y / r
-    return np.column_stack([c * u + d * v, e * u + f * v]) + centre

@@ -41,14 +41,6 @@ def put_photos(folder, scene):
         put_photo(view, folder / view.name)
 
 
-def tracks(scene):
-    """For each point, the views that see it."""
-    found = [[] for _ in scene.points]
-    for point, view in ([] if scene.observations is None else scene.observations.tolist()):
-        found[point].append(view)
-    return found
-
-
 def write_opensfm(folder, scene, reference=None):
     """reconstruction.json with one camera for all, and tracks.csv; the table that was written."""
     put_photos(folder / "images", scene)
@@ -122,8 +114,7 @@ def write_metashape(folder, scene, transform=None, reference="", extra="", label
     return folder / "cameras.xml"
 
 
-def write_opf(folder, scene, crs="EPSG:32632", shift=(-500000.0, -5300000.0, -200.0),
-              internals=None):
+def write_opf(folder, scene, crs="EPSG:32632"):
     """project.opf and its resources, with points in one glTF node."""
     put_photos(folder / "images", scene)
     size, (fx, _, cx, cy), k, p, _ = stored(scene.views[0])
@@ -132,7 +123,7 @@ def write_opf(folder, scene, crs="EPSG:32632", shift=(-500000.0, -5300000.0, -20
         angles = Rotation.from_matrix(view.camera.rotation.T * FLIP).as_euler("XYZ", degrees=True)
         cameras.append({"id": 2**63 + number, "sensor_id": 7, "orientation_deg": angles.tolist(),
                         "position": position(scene, view).tolist()})
-    internals = internals or {
+    internals = {
         "type": "perspective", "principal_point_px": [cx, cy], "focal_length_px": fx,
         "radial_distortion": k[:3], "tangential_distortion": list(p)}
     form = "application/opf-{}+json".format
@@ -144,7 +135,7 @@ def write_opf(folder, scene, crs="EPSG:32632", shift=(-500000.0, -5300000.0, -20
         "calibrated-cameras": {"cameras": cameras,
                                "sensors": [{"id": 7, "internals": internals}]},
         "scene-reference-frame": {"crs": {"definition": crs}, "base_to_canonical": {
-            "shift": list(shift), "scale": [1.0, 1.0, 1.0], "swap_xy": False}}}
+            "shift": [-500000.0, -5300000.0, -200.0], "scale": [1.0, 1.0, 1.0], "swap_xy": False}}}
     kinds = {"camera-list": "camera_list", "input-cameras": "input_cameras",
              "calibrated-cameras": "calibration", "scene-reference-frame": "scene_reference_frame"}
     items = []
@@ -159,18 +150,12 @@ def write_opf(folder, scene, crs="EPSG:32632", shift=(-500000.0, -5300000.0, -20
 
 
 def write_gltf(path, scene):
-    """Points with colours and matches; positions are float32 relative to their middle."""
-    seen = tracks(scene)
-    begins = np.cumsum([0, *map(len, seen)])
-    packed = [begin | len(views) << 40 for begin, views in zip(begins.tolist(), seen)]
+    """Points with colours; positions are float32 relative to their middle."""
     middle = world_points(scene).mean(axis=0)
     arrays = {
         "positions": (world_points(scene) - middle).astype("<f4"),
-        "colours": np.column_stack([scene.colours, np.full(len(scene.points), 255)]).astype("u1"),
-        "cameras": np.array([view for views in seen for view in views], "<u4"),
-        "ranges": np.array(packed, "<u8")}
-    kinds = {"positions": (5126, "VEC3"), "colours": (5121, "VEC4"), "cameras": (5125, "SCALAR"),
-             "ranges": (5125, "VEC2")}
+        "colours": np.column_stack([scene.colours, np.full(len(scene.points), 255)]).astype("u1")}
+    kinds = {"positions": (5126, "VEC3"), "colours": (5121, "VEC4")}
     path.parent.mkdir(parents=True, exist_ok=True)
     for name, array in arrays.items():
         (path.parent / f"{name}.bin").write_bytes(b"head" * 2 + array.tobytes())
@@ -182,10 +167,7 @@ def write_gltf(path, scene):
     path.write_text(json.dumps({
         "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "matrix": matrix.ravel(order="F").tolist()}],
-        "meshes": [{"primitives": [{"mode": 0, "attributes": {"POSITION": 0, "COLOR_0": 1},
-                                    "extensions": {"OPF_mesh_primitive_matches": {
-                                        "cameraUids": [2**63 + n for n in range(len(scene.views))],
-                                        "cameraIds": 2, "pointIndexRanges": 3}}}]}],
+        "meshes": [{"primitives": [{"mode": 0, "attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
         "accessors": [{"bufferView": number, "componentType": kinds[name][0],
                        "type": kinds[name][1], "count": len(array)}
                       for number, (name, array) in enumerate(arrays.items())],

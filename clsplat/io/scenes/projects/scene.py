@@ -46,8 +46,7 @@ class PhotoFiles:
     def __init__(self, project: Path, images: str = "") -> None:
         folder = photo_folder(project, images)
         self.folder = folder if images or folder.is_dir() else project
-        self._given = bool(images)
-        self._outside: dict[str, Path] = {}  # photos that are not below the folder, by their names
+        self._project, self._given = project, bool(images)
 
     def found(self, names: Iterable[object], base: Path | None = None) -> list[tuple[str, Path]]:
         """Find photos as `find` does; InputError if some are missing."""
@@ -66,12 +65,13 @@ class PhotoFiles:
         ----------
         name : as the project has it: a path of this or another machine, a file name, or a label
             without suffix.
-        base : the folder to which a relative path refers, besides the folder of photos.
+        base : the folder to which a relative path refers, besides that of photos; None: the
+            project's.
 
         Returns
         -------
-        The name of its view, relative to the folder of photos or else with as many folders as
-        distinguish it from others, and its path, which does not exist if no file fits.
+        The name of its view, relative to the folder of photos if it is there, and its path, which
+        does not exist if no file fits.
         """
         if not isinstance(name, str) or CONTROL.search(name):
             raise ValueError("the name of a photo is not valid text")
@@ -79,22 +79,15 @@ class PhotoFiles:
             name.removeprefix(SCHEME).replace("\\", "/")).parts if part not in ("/", "//", "..")]
         if not parts:
             raise ValueError(f"{name[:80]!r} is not the name of a photo")
-        path = self._existing(parts, name, base) or self._below(parts) or self.folder / parts[-1]
-        # what is named ../other/a.jpg is not below the folder
-        place, folder = (Path(os.path.normpath(each)) for each in (path, self.folder))
-        if place.is_relative_to(folder):
-            return place.relative_to(folder).as_posix(), path
-        names = ("/".join(parts[number:]) for number in reversed(range(len(parts))))
-        return next((short for short in names
-                     if self._outside.setdefault(short, path) == path), name), path
-
-    def _existing(self, parts: list[str], name: str, base: Path | None) -> Path | None:
-        """The file at the path itself, or at its end below the folder of photos."""
         places = [self.folder.joinpath(*parts[number:]) for number in range(len(parts))]
         if not self._given:  # a folder that the user gives holds all photos
-            stored = Path(name.removeprefix(SCHEME))
-            places += [base / stored if base else stored, stored]
-        return next((place for place in places if os.path.isfile(place)), None)
+            places.append((base or self._project) / name.removeprefix(SCHEME))
+        path = (next(filter(os.path.isfile, places), None) or self._below(parts)
+                or self.folder / parts[-1])
+        # what is named ../other/a.jpg is not below the folder
+        place, folder = (Path(os.path.normpath(each)) for each in (path, self.folder))
+        below = place.is_relative_to(folder)
+        return place.relative_to(folder).as_posix() if below else "/".join(parts), path
 
     def _below(self, parts: list[str]) -> Path | None:
         """The only file of this name in folders of the photo folder, or that with most of the
