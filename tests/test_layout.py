@@ -68,7 +68,7 @@ WALLS = {
     "skimage": ("clsplat/apps/", "clsplat/io/", "clsplat/evaluation/"),
     "dask": ("clsplat/cities/cluster.py",),
     "distributed": ("clsplat/cities/cluster.py",),
-    "matplotlib": ("clsplat/report/", "tools/"),
+    "matplotlib": ("clsplat/report/figures/", "tools/"),
     "tests": (),  # the wheel carries clsplat/, not the tests
 }
 

@@ -15,8 +15,8 @@ from clsplat.evaluation.run import Run, Streaming, open_tree, shown
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.tree import Tree
 from clsplat.rendering.slabs import ModelRenderer, open_model
-from clsplat.report.model_page import filled, near_of, script_json, view_record
-from clsplat.report.page import full_name
+from clsplat.report.model_page import filled, near_of, view_record
+from clsplat.report.page import full_name, script_json
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import latest_model
 from clsplat.training.progress import SilentProgress

@@ -34,7 +34,7 @@ from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
 from clsplat.io.georeference.crs import WGS84, heights_of, on_ground
 from clsplat.io.records import write_object
-from clsplat.report.map_preview import write_preview
+from clsplat.report.figures.map_preview import write_preview
 from clsplat.scene import Scene
 
 ORTHOPHOTO, SURFACE = "orthophoto.tif", "surface.tif"

@@ -28,7 +28,7 @@ from clsplat.partition.options import BLOCK_STEPS, PartitionOptions
 from clsplat.partition.region import Partition
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Rows
-from clsplat.report.map import write_map
+from clsplat.report.figures.map import write_map
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of
 from clsplat.training.start.prepare import smallest_size

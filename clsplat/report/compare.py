@@ -9,7 +9,7 @@ from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
 from clsplat.io.records import write_object
 from clsplat.io.runs.origin import origin
-from clsplat.report.charts import as_png, comparison_figure, drawn
+from clsplat.report.charts import comparison_chart, drawn
 from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, title, warnings
 from clsplat.report.page import Table, as_utf8, folded, page, warning
 from clsplat.report.scores import Curve, Record, curve, reached, spread, value_at
@@ -34,7 +34,7 @@ FINAL_NOTES = (
 
 def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = None,
                      levels: Sequence[float] = ()) -> tuple[str, Path]:
-    """Compare runs and write compare.png, compare.html and compare.json.
+    """Compare runs and write compare.html and compare.json.
 
     Parameters
     ----------
@@ -56,11 +56,9 @@ def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = No
     folder = Path(folder or parent)
     make_folder(folder, "choose another --output")
     write_object(folder / "compare.json", result, indent=2)
-    chart = ({name: [run.records for run in group] for name, group in groups.items()},
-             result["levels"])
     curves = drawn("PSNR, SSIM and number of gaussians over training time, by group",
-                   comparison_figure, *chart)
-    _write_picture(folder / "compare.png", *chart)
+                   comparison_chart, {name: [run.records for run in group]
+                                      for name, group in groups.items()}, result["levels"])
     count = len(runs)
     html = page(
         f"Comparison: {', '.join(groups)}",
@@ -79,19 +77,6 @@ def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = No
         different.text(), final.text(), time.text(), *([] if curves else [NO_CURVE]),
         *(f"warning: {sentence}" for sentence in result["warnings"])])
     return as_utf8(text), written
-
-
-def _write_picture(path: Path, *chart: Any) -> None:
-    """Write the curves as PNG; without curves, remove the picture of an earlier comparison."""
-    try:
-        data = as_png(comparison_figure, *chart)
-    except Exception:  # noqa: BLE001  (the page gives the reason)
-        data = None
-    if data is None:
-        path.unlink(missing_ok=True)
-        return
-    with replacing(path) as file:
-        file.write(data)
 
 
 def compare(groups: Mapping[str, Sequence[Trained]], levels: Sequence[float] = ()

@@ -5,7 +5,6 @@ them into textures and draw them with WebGL 2 as our own renderer does (web/spla
 """
 
 import base64
-import json
 import re
 import zlib
 from collections.abc import Sequence
@@ -25,7 +24,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.models.quantise import morton_order, smallest_three
 from clsplat.io.models.values import colours_of, opacities
-from clsplat.report.page import full_name
+from clsplat.report.page import full_name, script_json
 from clsplat.scene import NEAR_SHARE
 
 POSITION_STEPS = 2**24 - 1  # three bytes
@@ -167,11 +166,6 @@ def _ground(camera: Camera, up: NDArray[np.float64], points: NDArray[np.floating
     ground = np.minimum(ground, camera.position @ up).reshape(CELLS, CELLS)
     return {"axes": axes.tolist(), "low": (low + step / 2).tolist(), "step": step.tolist(),
             "heights": np.round(ground, 6).tolist()}
-
-
-def script_json(value: Any) -> str:
-    """JSON that may stand in an HTML script element."""
-    return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
 def filled(template: str, **values: str) -> str:

@@ -20,11 +20,12 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.models.values import opacities
 from clsplat.io.photos.views import read_photo
 from clsplat.placement.first_view import view_from_above
-from clsplat.report.charts import drawn, score_figure, survey_figure
+from clsplat.report.charts import drawn, framed, score_chart
 from clsplat.report.model_page import write_page
 from clsplat.report.page import as_utf8, html_of
 from clsplat.report.run import jpeg, lead
 from clsplat.report.scores import score_table
+from clsplat.report.survey import survey_maps
 from clsplat.scene import NEAR_SHARE, Scene, View
 
 if TYPE_CHECKING:
@@ -49,9 +50,9 @@ def table(rows: dict[str, str]) -> str:
 def run_page(run: Run) -> str:
     """A run as HTML, without head and body."""
     records = run.metrics
+    title = "PSNR and SSIM over training time"
     return html_of(f"<p>{escape(lead(run.record, records))}</p>",
-                   drawn("PSNR and SSIM over training time", score_figure, records),
-                   score_table(records))
+                   framed(title, drawn(title, score_chart, records)), score_table(records))
 
 
 def view_card(view: View) -> str:
@@ -81,7 +82,7 @@ def scene_page(scene: Scene) -> str:
                    "points": f"{len(scene.points):,}",
                    "extent": f"{scene.extent:.4g} world units" if len(scene.points) else "unknown"}
                   ) if scene.views else ""
-    cameras = drawn("Map of the cameras", survey_figure, survey_of(scene)) if scene.views else ""
+    cameras = survey_maps(survey_of(scene)) if scene.views else ""
     chosen = scene.views[::-(-len(scene.views) // SHEET) or 1]
     return html_of(facts, cameras, "".join(_card(view, SMALL) for view in chosen))
 

@@ -1,9 +1,10 @@
-"""Pages that stand alone: tables, pictures and text in one HTML file, without scripts or network.
+"""Pages that stand alone: tables, pictures, charts and text in one HTML file, without network.
 
 A Table is also text, for the terminal.
 """
 
 import base64
+import json
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -98,14 +99,18 @@ def page(title: str, lead: str, *parts: str, made: Mapping[str, Any] | None = No
     Parameters
     ----------
     title, lead : text of its head.
-    parts : HTML.
+    parts : HTML; what draws its charts is added.
     made : when, by which version and by which command its content was made, see `io.origin`.
     """
+    body = "".join(parts)
+    if 'class="chart' in body:
+        body += (f"<style>{web('uplot.css')}</style>\n"
+                 f"<script>{web('uplot.js')}\n{web('chart.js')}</script>\n")
     text = (f'<!doctype html>\n<html lang="en">\n<head><meta charset="utf-8">\n'
             f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f"<title>{escape(title)}</title>\n<style>{web('report.css')}</style></head>\n<body>\n"
             f"<h1>{escape(title)}</h1>\n<p class=lead>{escape(lead)}</p>\n{_made(made or {})}"
-            f"{''.join(parts)}</body>\n</html>\n")
+            f"{body}</body>\n</html>\n")
     return as_utf8(text)
 
 
@@ -120,6 +125,11 @@ def _made(record: Mapping[str, Any]) -> str:
              f"<code>{escape(command)}</code>" if command else ""]
     line = " · ".join(filter(None, facts))
     return f"<p class=facts>{line}</p>\n" if line else ""
+
+
+def script_json(value: Any) -> str:
+    """JSON that may stand in an HTML script element."""
+    return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
 def web(name: str) -> str:

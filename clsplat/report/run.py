@@ -14,7 +14,7 @@ from clsplat.evaluation.pictures import COLOURS, LARGEST_ERROR, Pictures, ShownV
 from clsplat.io.photos.images import encode_jpeg
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions
-from clsplat.report.charts import drawn, score_figure, step_figure
+from clsplat.report.charts import drawn, score_chart, step_chart
 from clsplat.report.city import city_sections
 from clsplat.report.page import Table, folded, full_name, headed, html_of, page
 from clsplat.report.scores import (
@@ -55,13 +55,13 @@ def write_report(run: RunFolder, pictures: Pictures | None = None, scene: Scene 
     scene : at the size of its photos, for the section Survey.
     """
     options, records = run.read_options(), run.past_records()
-    scores = drawn("PSNR and SSIM over training time", score_figure, records)
+    scores = drawn("PSNR and SSIM over training time", score_chart, records)
     sections = (
         pictures_html(pictures), survey_html(scene),
         headed("Scores over training time" if scores else "Scores", scores, score_table(records)),
         *city_sections(run.path, records),
         headed("Growth and loss", drawn("Gaussians, loss and level over iterations",
-                                         step_figure, records)),
+                                         step_chart, records)),
         _plan_table(records), level_table(records),
         folded("Options", _option_table(options).html()))
     return run.write_report(page(full_name(run.path, options), lead(options, records),

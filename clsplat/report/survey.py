@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterator
 from html import escape
 
+import numpy as np
+from numpy.typing import NDArray
+
 from clsplat.evaluation.survey import Survey, spreads, survey_of
 from clsplat.georeference import CHECK, CONTROL
-from clsplat.report.charts import drawn, survey_figure
+from clsplat.io.photos.images import encode_image
 from clsplat.report.page import Table, folded, headed, warning
 from clsplat.scene import Scene
 
@@ -19,6 +23,11 @@ NOTE = ("From the measured place to that in the scene. 90 % within: along the gr
 RECORDED = (("points", "points of the sparse model", ",.0f"),
             ("mean_track_length", "photos that show a point", ".1f"),
             ("reprojection_error_pixels", "reprojection error, pixels", ".2f"))
+# matplotlib's "viridis", at each quarter
+RAMP = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
+GREY, NO_RESIDUAL, CROSS = (150, 155, 160), "#0072b2", "#d55e00"
+CELLS = 400  # of the longer side of the picture of the points
+WIDTH, LEFT, BOTTOM, TOP = 460, 52, 34, 6  # units of a map and of its margins
 
 
 def survey_html(scene: Scene | None) -> str:
@@ -32,8 +41,6 @@ def survey_html(scene: Scene | None) -> str:
 
 
 def _section(survey: Survey) -> str:
-    maps = drawn(f"Map of the {len(survey.names)} cameras, and how many photos look at each place",
-                 survey_figure, survey)
     listed = survey.record.get("not_registered")
     missing = [(str(name), str(why)) for name, why in listed.items()] if isinstance(
         listed, dict) else []
@@ -41,7 +48,7 @@ def _section(survey: Survey) -> str:
                    notes=_more(len(missing), "photos", "sfm.json"))
     return headed(
         "Survey", *(warning(f"Warning: {text}") for text in warnings(survey)), facts_table(survey),
-        maps and f"<div class=plate>{maps}</div>\n",  # its colours stay as they are
+        survey_maps(survey),
         _residuals_html(survey),
         folded("Photos that were not used", unused.html()) if missing else "")
 
@@ -86,6 +93,116 @@ def _facts(survey: Survey) -> Iterator[tuple[str, str]]:
     for key, title, form in RECORDED:
         if isinstance(survey.record.get(key), (int, float)):
             yield title, format(survey.record[key], form)
+
+
+def survey_maps(survey: Survey) -> str:
+    """HTML of the cameras above the points, coloured by their residual, and of the overlap; "" if
+    the places are not known."""
+    if not np.isfinite(survey.cameras).all():
+        return ""
+    shown = [survey.cameras]
+    if len(survey.ground):
+        shown.append(np.quantile(survey.ground, (0.01, 0.99), axis=0))
+    places = np.concatenate(shown)
+    low, high = places.min(axis=0), places.max(axis=0)
+    room = 0.04 * float((high - low).max()) or 1.0
+    low, high = low - room, high + room
+    residuals = survey.camera_residuals
+    known = residuals[np.isfinite(residuals)]
+    maps = [_map("cameras, by their residual" if len(known) else "cameras", low, high,
+                 _points(survey, low, high) + _cameras(survey, low, high,
+                                                       max(known, default=1.0)), survey)
+            + (_ramp(f"{max(known):.2g} m from the GPS") if len(known) else "")]
+    if survey.overlap is not None:
+        counts, (west, east, south, north) = survey.overlap.counts, survey.overlap.bounds
+        pixels = np.dstack([_colours(counts / max(counts.max(), 1)), 255 * (counts >= 0)])
+        maps.append(_map("overlap", low, high, _image(pixels, (west, south), (east, north), low),
+                         survey) + _ramp(f"{counts.max()} photos that look at a place"))
+    pair = " pair" if len(maps) > 1 else ""
+    return (f'<div class="maps{pair}" role=img aria-label="Map of the '
+            f'{len(survey.names)} cameras, and how many photos look at each place">'
+            + "".join(f"<div>{each}</div>" for each in maps) + "</div>\n")
+
+
+def _map(title: str, low: NDArray[np.float64], high: NDArray[np.float64], content: str,
+         survey: Survey) -> str:
+    """An SVG of the area between two corners, with scales; `content` is in map units from `low`,
+    with y to the north."""
+    width, height = high - low
+    scale = WIDTH / max(width, height)  # units of the SVG
+    width, height = width * scale, height * scale
+    unit = "m" if survey.georeference else "units of the scene"
+    step = 10.0 ** np.floor(np.log10((high - low).max() / 4))
+    step *= max(factor for factor in (1, 2, 5) if factor * step <= (high - low).max() / 3)
+    scales = []
+    for axis in (0, 1):
+        for value in np.arange(np.ceil(low[axis] / step), high[axis] / step) * step:
+            at = (value - low[axis]) * scale
+            scales.append(f'<text x="{LEFT + at:.1f}" y="{TOP + height + 14:.1f}" '
+                          f'text-anchor="middle">{value:.6g}</text>' if axis == 0 else
+                          f'<text x="{LEFT - 6}" y="{TOP + height - at + 4:.1f}" '
+                          f'text-anchor="end">{value:.6g}</text>')
+    return (f"<h4>{title}</h4>\n"
+            f'<svg viewBox="0 0 {LEFT + width + 8:.1f} {TOP + height + BOTTOM:.1f}">'
+            f'<g fill="currentColor">{"".join(scales)}<text x="{LEFT + width / 2:.1f}" '
+            f'y="{TOP + height + 29:.1f}" text-anchor="middle">east, {unit}; upwards: north</text>'
+            f'</g><rect x="{LEFT}" y="{TOP}" width="{width:.1f}" height="{height:.1f}" fill="none" '
+            f'stroke="currentColor" stroke-opacity="0.4"/><g transform="translate({LEFT} '
+            f'{TOP + height:.1f}) scale({scale:.6g} {-scale:.6g})">{content}</g></svg>\n')
+
+
+def _points(survey: Survey, low: NDArray[np.float64], high: NDArray[np.float64]) -> str:
+    """The points of the ground as an image."""
+    cell = (high - low).max() / CELLS
+    columns, rows = np.ceil((high - low) / cell).astype(int).tolist()
+    found, _, _ = np.histogram2d(survey.ground[:, 1] - low[1], survey.ground[:, 0] - low[0],
+                                 (rows, columns), ((0, rows * cell), (0, columns * cell)))
+    pixels = np.empty((rows, columns, 4))
+    pixels[:] = (*GREY, 0)
+    pixels[..., 3] = 255 * (found > 0)
+    return _image(pixels, (0, 0), (columns * cell, rows * cell), np.zeros(2))
+
+
+def _cameras(survey: Survey, low: NDArray[np.float64], high: NDArray[np.float64], most: float
+             ) -> str:
+    """A dot at each camera, with its name and residual, and a cross where GPS was left out."""
+    size = float(np.clip(30 / len(survey.names)**0.5, 1.2, 5) * (high - low).max() / WIDTH)
+    left_out, shapes = set(survey.left_out), []
+    for name, (x, y), residual in zip(survey.names, survey.cameras - low, survey.camera_residuals):
+        known = np.isfinite(residual)
+        colour = "rgb({:.0f} {:.0f} {:.0f})".format(*_colours(np.array(residual / most))
+                                                    ) if known else NO_RESIDUAL
+        text = escape(f"{name}, {residual:.2g} m from its GPS" if known else name)
+        shapes.append(f'<circle cx="{x:.6g}" cy="{y:.6g}" r="{size:.4g}" fill="{colour}">'
+                      f"<title>{text}</title></circle>")
+        if name in left_out:
+            arms = 2 * size
+            shapes.append(f'<path d="M{x - arms:.6g} {y - arms:.6g}l{2 * arms:.4g} {2 * arms:.4g}'
+                          f'm{-2 * arms:.4g} 0l{2 * arms:.4g} {-2 * arms:.4g}" stroke="{CROSS}" '
+                          f'stroke-width="{0.6 * size:.4g}"><title>{text}, left out</title></path>')
+    return "".join(shapes)
+
+
+def _image(pixels: NDArray[np.floating], low: tuple[float, float], high: tuple[float, float],
+           origin: NDArray[np.float64]) -> str:
+    """An image [H, W, 4] from south to north between two corners."""
+    data = encode_image(pixels.astype(np.uint8), "png", 0, "map")
+    return (f'<image x="{low[0] - origin[0]:.6g}" y="{low[1] - origin[1]:.6g}" '
+            f'width="{high[0] - low[0]:.6g}" height="{high[1] - low[1]:.6g}" '
+            'preserveAspectRatio="none" style="image-rendering: pixelated" '
+            f'href="data:image/png;base64,{base64.b64encode(data).decode()}"/>')
+
+
+def _colours(shares: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The colour of each share of the largest value, [..., 3]."""
+    places = np.linspace(0, 1, len(RAMP))
+    return np.stack([np.interp(shares, places, RAMP[:, channel]) for channel in range(3)], axis=-1)
+
+
+def _ramp(most: str) -> str:
+    colours = ", ".join(f"rgb({red} {green} {blue})" for red, green, blue in RAMP)
+    return (f'<p class=scale><b>0</b> <i style="background: linear-gradient(to right, {colours})">'
+            f"</i>{most}</p>\n")
 
 
 def _residuals_html(survey: Survey) -> str:

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 
 from clsplat.partition.options import METHODS
-from clsplat.report.map import _centroid, partition_map
+from clsplat.report.figures.map import _centroid, partition_map
 from tests.data.fields import cut, field, moved, world
 
 

@@ -46,6 +46,6 @@ def test_a_scene_shows_a_map_and_some_photos(count, photos, photo):
     scene = replace(scene, views=tuple(replace(view, source=photo) for view in scene.views[:count]))
     html = scene_page(scene)
     words_of(html)
-    assert html.count("<figure") == photos and ("scroll chart" in html) is (count > 0)
+    assert html.count("<figure") == photos and ('class="maps' in html) is (count > 0)
     if count:
         assert f"{count}, 800 x 600 pixels" in html and "4,000" in html

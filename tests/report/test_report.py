@@ -1,15 +1,15 @@
 """Curves from records, the page of a run, tables; parts that a run lacks are left out."""
 
+import json
 import re
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from clsplat.io.runs.run import RunFolder
 from clsplat.report import run as run_page
-from clsplat.report.charts import drawn, score_figure, step_figure
+from clsplat.report.charts import Chart, Line, Panel, drawn, score_chart, step_chart
 from clsplat.report.page import Table, full_name, page
 from clsplat.report.run import lead, level_table, write_report
 from clsplat.report.scores import (
@@ -22,6 +22,7 @@ from clsplat.report.scores import (
     value_at,
     with_quality,
 )
+from tests.apps.browser import answer_of, needs_chromium
 from tests.data.made_runs import made_records, made_run
 
 LINE = (np.array([1.0, 3.0, 5.0]), np.array([10.0, 20.0, 16.0]))
@@ -79,15 +80,15 @@ class Balanced(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.open, self.pictures = [], 0
+        self.open, self.charts = [], 0
         self.feed(text)
         assert not self.open
 
     def handle_starttag(self, tag, attributes):
         for name, value in attributes:
             assert name not in ("src", "srcset", "href") or value.startswith("data:"), (tag, value)
-        self.pictures += tag == "img"
-        assert tag not in ("script", "link", "iframe")
+        self.charts += str(dict(attributes).get("class")).startswith("chart")
+        assert tag not in ("link", "iframe")
         if tag not in ("br", "img", "meta", "source"):
             self.open.append(tag)
 
@@ -112,7 +113,7 @@ def test_the_report_of_a_run(tmp_path):
     path = write_report(run)
     assert path == run.path / "report.html"
     html = path.read_text()
-    assert Balanced(html).pictures == 2
+    assert Balanced(html).charts == 2
     assert headings(html) == ["Scores over training time", "Growth and loss", "Plan",
                               "Level changes"]
     assert "<h1>city: run &lt;1&gt;</h1>" in html and "(10,000 steps)" in html
@@ -123,7 +124,7 @@ def test_the_report_of_a_run(tmp_path):
 def test_what_a_run_lacks_is_left_out(tmp_path):
     html = write_report(made_run(tmp_path / "constant", "constant")).read_text()
     assert headings(html) == ["Scores over training time", "Growth and loss"]
-    assert Balanced(html).pictures == 2
+    assert Balanced(html).charts == 2
     bare = bare_run(tmp_path / "bare")
     assert headings(write_report(bare).read_text()) == []
     bare.log({"event": "level", "iteration": 3})
@@ -136,14 +137,14 @@ def test_a_single_evaluation_has_a_table_and_no_curve(tmp_path):
     records = list(made_records("constant"))
     once = [r for r in records if r["event"] != "eval"] + [r for r in records
                                                            if r["event"] == "eval"][-1:]
-    assert score_figure(records) and score_figure(once) is None
-    assert step_figure(once) and step_figure(once[:1]) is None
+    assert score_chart(records) and score_chart(once) is None
+    assert step_chart(once) and step_chart(once[:1]) is None
     run = RunFolder.create(tmp_path / "once")
     run.write_options({"schedule": "constant"})
     for record in once:
         run.log(record)
     html = write_report(run).read_text()
-    assert Balanced(html).pictures == 1 and "PSNR cc, dB" in html
+    assert Balanced(html).charts == 1 and "PSNR cc, dB" in html
 
 
 def test_the_lead_says_what_was_trained():
@@ -167,10 +168,10 @@ def test_a_figure_that_fails_is_a_line(tmp_path, monkeypatch):
     def fails(records):
         raise RuntimeError("no <font>\nmore of it")
 
-    monkeypatch.setattr(run_page, "step_figure", fails)
+    monkeypatch.setattr(run_page, "step_chart", fails)
     html = write_report(made_run(tmp_path / "run")).read_text()
     assert "could not be drawn (no &lt;font&gt;)" in html and "Level changes" in html
-    assert Balanced(html).pictures == 1
+    assert Balanced(html).charts == 1
 
 
 def test_tables_of_a_run():
@@ -209,8 +210,7 @@ def test_a_fall_of_the_scores_is_explained(steps, words):
     assert found == ([] if words is None else [
         f"The scores fall at step 200: {words}, from which the model recovers."])
     if words:
-        labels = [text.get_text() for text in score_figure(records).legends[0].get_texts()]
-        assert len(labels) in (3, 4)
+        assert sum(map(len, score_chart(records).marks.values())) in (1, 2)
         assert score_table(records).notes[1:] == tuple(found)
 
 
@@ -243,7 +243,53 @@ def test_the_head_says_when_by_what_and_how(made, line):
     Balanced(html)
 
 
+NAMED = Chart("x </script>", [Panel("<b>", [Line("</script><b>", (np.array([1.0, 2.0]),
+                                                                  np.array([3.0, np.nan])))])])
+
+
 def test_a_page_escapes_its_words():
-    html = page("a & b", "<lead>", drawn('say "curve"', lambda: Figure((1, 1))))
+    html = page("a & b", "<lead>", drawn('say "curve"', lambda: NAMED))
     assert "<title>a &amp; b</title>" in html and "&lt;lead&gt;" in html
-    assert 'alt="say &quot;curve&quot;"' in html
+    assert 'aria-label="say &quot;curve&quot;"' in html and Balanced(html).charts == 1
+    assert "[3.0, null]" in html and "</script><b>" not in html
+    assert "uPlot" not in page("none", "")
+
+
+def test_lines_of_a_panel_share_their_places():
+    line = (np.array([1.0, 3.0]), np.array([5.0, 6.1234567]))
+    lines = [Line("a", line), Line("b", (np.array([2.0]), np.array([7.0])), kind="band",
+                                   high=np.array([8.0]))]
+    assert Chart("x", [Panel("p", lines)]).data()["panels"][0]["data"] == [
+        [1, 2, 3], [5, None, 6.12346], [None, 7, None], [None, 8, None]]
+
+
+def test_of_two_points_at_one_place_the_last_is_drawn():
+    records = evaluations((100, 20.0), (200, 21.0), (200, 22.0))
+    assert list(score_chart(records).panels[0].lines[1].points[1]) == [20, 22]
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_the_browser_draws_every_panel(tmp_path):
+    page = write_report(made_run(tmp_path / "run", "sig")).read_text()
+    answer = answer_of(tmp_path, page, """
+        const of = (selector) => [...page.document.querySelectorAll(selector)];
+        await until(() => of(".u-wrap canvas").length == 5);
+        await new Promise((wake) => setTimeout(wake, 300));
+        const inked = of(".u-wrap canvas").map((canvas) => {
+          const {data} = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+          let count = 0;  // of pixels in the colour of the first line
+          for (let i = 0; i < data.length; i += 4)
+            count += data[i] < 40 && Math.abs(data[i + 1] - 114) < 30 && data[i + 2] > 150;
+          return count > 100;
+        });
+        const over = of(".u-over")[0], {left, top, width} = over.getBoundingClientRect();
+        over.dispatchEvent(new page.MouseEvent("mousemove", {
+          bubbles: true, clientX: left + width - 2, clientY: top + 50}));
+        await new Promise((wake) => setTimeout(wake, 300));
+        return JSON.stringify([inked, of(".u-value").slice(0, 2).map((at) => at.textContent)]);
+    """, (900, 1200))
+    inked, values = json.loads(answer)
+    assert inked == [True] * 5
+    last = [r for r in made_records("sig") if r["event"] == "eval"][-1]
+    assert float(values[1]) == pytest.approx(last["psnr_cc"], abs=0.01)

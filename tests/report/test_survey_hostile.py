@@ -11,9 +11,8 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.evaluation.survey import spreads, survey_of
 from clsplat.georeference import Georeference, Residual
-from clsplat.report import survey as section_module
 from clsplat.report.run import write_report
-from clsplat.report.survey import area, facts_table, length, survey_figure, survey_html
+from clsplat.report.survey import NO_RESIDUAL, area, facts_table, length, survey_html, survey_maps
 from clsplat.scene import Scene, View
 from tests.evaluation.test_pictures import pictures
 from tests.report.test_report import Balanced, bare_run, headings
@@ -111,18 +110,9 @@ SCENES = {
 }
 
 
-@pytest.fixture
-def sketched(monkeypatch):
-    """Figures are made, but not written, which takes most of the time of a section."""
-    def drawn(_, draw, *arguments):
-        return "<div class=\"scroll chart\"></div>" if draw(*arguments) else ""
-
-    monkeypatch.setattr(section_module, "drawn", drawn)
-
-
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("name", SCENES)
-def test_a_section_of_what_is_known(name, sketched):
+def test_a_section_of_what_is_known(name):
     make, words, lacking = SCENES[name]
     html = words_of(survey_html(make()))
     assert (html == "") is (words is None)
@@ -145,7 +135,7 @@ RECORDS = {
 
 @pytest.mark.one_in(5)
 @pytest.mark.parametrize("name", RECORDS)
-def test_a_record_of_sfm_that_is_damaged_costs_no_page(name, tmp_path, sketched):
+def test_a_record_of_sfm_that_is_damaged_costs_no_page(name, tmp_path):
     record, words, lacking = RECORDS[name]
     html = words_of(survey_html(stored(flight(), tmp_path, record)))
     assert all(word in html for word in words) and not any(word in html for word in lacking)
@@ -156,10 +146,19 @@ def test_a_camera_is_coloured_by_its_residual_if_that_is_known():
                                  residual("2.jpg", "left out", east=5.0, up=None)])
     found = survey_of(scene).camera_residuals
     assert found[0] == pytest.approx(1.3) and np.isnan(found[1]) and found[2] > 5
-    figure = survey_figure(survey_of(scene))
-    assert [axes.get_title() for axes in figure.axes[:2]] == ["cameras, by their residual",
-                                                               "overlap"]
-    assert survey_figure(survey_of(flight(3))).axes[0].get_title() == "cameras"
+    html = survey_maps(survey_of(scene))
+    assert re.findall("<h4>(.*?)</h4>", html) == ["cameras, by their residual", "overlap"]
+    colours = re.findall('<circle [^>]*fill="(.*?)"', html)
+    assert colours[1] == NO_RESIDUAL and colours[2] == "rgb(253 231 37)" != colours[0]
+    assert html.count("<path") == html.count("left out</title>") == 1
+    assert "0.jpg, 1.3 m from its GPS" in html
+    assert "<h4>cameras</h4>" in survey_maps(survey_of(flight(3)))
+
+
+def test_a_camera_is_drawn_at_its_place():
+    html = survey_maps(survey_of(flight(3)))
+    places = np.array(re.findall('<circle cx="(.*?)" cy="(.*?)"', html), float)
+    assert np.allclose(np.diff(places[:, 0]), 20) and np.ptp(places[:, 1]) == 0
 
 
 @pytest.mark.parametrize("metres, words", [(0.0054, "5.4 mm"), (0.049, "4.9 cm"), (57.04, "57 m"),
@@ -174,7 +173,7 @@ def test_areas_for_people(square, words):
     assert area(square) == words
 
 
-def test_a_survey_stands_between_pictures_and_scores(tmp_path, sketched):
+def test_a_survey_stands_between_pictures_and_scores(tmp_path):
     run = bare_run(tmp_path / "run")
     run.log({"event": "eval", "iteration": 9, "psnr": 21.0})
     html = write_report(run, pictures=pictures(), scene=flight()).read_text()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clsplat.partition.input import CONTENT_QUANTILES, world_of
 from clsplat.partition.region import Partition, Region
-from clsplat.report.charts import COLOURS, own_settings
+from clsplat.report.figures import COLOURS, own_settings
 from clsplat.scene import Scene
 
 MOST_POINTS = 60_000  # drawn
@@ -54,7 +54,7 @@ def partition_map(partition: Partition, scene: Scene, counts: NDArray[np.integer
     views = [len(views) for views in partition.views]
     mean = sum(views) / max(1, len(np.unique(np.concatenate(partition.views))))
     dropped = f", {len(partition.dropped)} in none" if partition.dropped else ""
-    with own_settings(**{"axes.grid": False}):
+    with own_settings():
         figure = Figure(figsize=(WIDTH, np.clip(0.9 * WIDTH * height / width, *HEIGHTS)),
                         layout="constrained")
         axes = figure.subplots()

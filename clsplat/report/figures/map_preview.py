@@ -10,7 +10,7 @@ from matplotlib.colors import LightSource, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from clsplat.report.charts import own_settings
+from clsplat.report.figures import own_settings
 
 DPI = 200  # at which letters can be read in so large a picture
 SUN = 315, 45  # degrees, azimuth and elevation: from the north-west, as maps are shaded
@@ -42,7 +42,7 @@ def write_preview(file: BinaryIO, colours: NDArray[np.uint8], heights: NDArray[n
     shaded = np.where(known[..., None], shaded, 1.0)
     rows, columns = heights.shape
     extent = (0.0, columns * size, 0.0, rows * size)
-    with own_settings(**{"axes.grid": False}):
+    with own_settings():
         figure = Figure(figsize=(2.2 * columns / DPI + 2, 1.1 * rows / DPI + 1), dpi=DPI,
                         layout="constrained")
         photo, surface = figure.subplots(1, 2, sharey=True)
