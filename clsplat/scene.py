@@ -46,7 +46,7 @@ class View:
     depth : the file of its depth map (io/photos/depth.py); None: it has none.
     quarter_turns : how many clockwise quarter turns show the photo upright, by its EXIF.
     weighed : whether a training may leave out pixels of the photo (training/robust.py).
-    levels : 16-bit samples that become black and white (io/photos/levels.py); None: 0 and 65535.
+    levels : 16-bit samples that become black and white; None: 0 and 65535.
     """
 
     name: str

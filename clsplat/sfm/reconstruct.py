@@ -22,8 +22,8 @@ from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction, turned
 from clsplat.io.lock import HOLDER, LOCK, exclusive
-from clsplat.io.photos.levels import common_levels, levels_note
 from clsplat.io.photos.masks import MASKS
+from clsplat.io.photos.photo import common_levels, levels_note
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, write_object
 from clsplat.io.regular import read_regular

@@ -21,8 +21,6 @@ from clsplat.io.photos.photo import opened
 Y, X = np.mgrid[:24, :32]
 PICTURE = np.stack([X * 8, Y * 10, (X + Y) * 4], axis=2).astype(np.uint8)
 GREY = np.repeat(PICTURE[..., :1], 3, axis=2)
-LIGHT = np.where(PICTURE / 255 <= 0.04045, PICTURE / 255 / 12.92,
-                 ((PICTURE / 255 + 0.055) / 1.055) ** 2.4).astype(np.float32)  # as linear light
 ALPHA = np.where(X < 16, 0, 255).astype(np.uint8)[..., None]
 TURN = 0x0112  # EXIF's orientation
 
@@ -112,8 +110,6 @@ READ = {
     "alpha PNG": ("a.png", pillow("RGBA", np.dstack([PICTURE, ALPHA])), PICTURE, 0),
     "16-bit PNG": ("a.png", library(PICTURE.astype(np.uint16) * 257, "uint16"), PICTURE, 0),
     "PNG of gamma 0.45": ("a.png", png(chunk(b"gAMA", struct.pack(">I", 45455))), PICTURE, 0),
-    "linear PNG": ("a.png", png(chunk(b"gAMA", struct.pack(">I", 100000)), body=b"".join(
-        b"\0" + row.tobytes() for row in (LIGHT * 255).round().astype(np.uint8))), PICTURE, 4),
     "EXIF turned": ("a.jpg", pillow(quality=95, subsampling=0, exif=exif(6)), PICTURE, 1.5),
     "TIFF in strips": ("a.tif", tiff(BIG, rowsperstrip=7), BIG, 0),
     "tiled planar TIFF": ("a.tif", tiff(BIG.transpose(2, 0, 1), planarconfig="separate",
@@ -122,14 +118,6 @@ READ = {
     "white is zero": ("a.tif", tiff(255 - PICTURE[..., 0], "miniswhite"), GREY, 0),
     "five channels": ("a.tif", tiff(np.dstack([PICTURE, PICTURE[..., :2]]),
                                     planarconfig="contig"), PICTURE, 0),
-    "float TIFF": ("a.tif", tiff(LIGHT), PICTURE, 0.01),
-    "EXR with alpha": ("a.exr", library(np.dstack([LIGHT, ALPHA / 255]).astype(np.float32),
-                                        "float"), PICTURE, 0.01),
-    "EXR of a layer": ("a.exr", library(LIGHT, "float", ("beauty.R", "beauty.G", "beauty.B")),
-                       PICTURE, 0.01),
-    "EXR of luminance": ("a.exr", library(LIGHT[..., :1].copy(), "float", ("Y",)), GREY, 0.01),
-    "EXR that says sRGB": ("a.exr", library((PICTURE / 255).astype(np.float32), "float", **{
-        "oiio:ColorSpace": "sRGB"}), PICTURE, 0.01),
     "netpbm of 12 bits": ("a.ppm", twelve_bits, PICTURE, 0.5),
     "animated GIF": ("a.gif", lambda p: PALETTE.save(
         p, save_all=True, append_images=[PALETTE.rotate(180)]), FEW, 0),
@@ -185,8 +173,7 @@ def tiff_claims(tag, value):
 
 
 NOISE = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
-BAD = PICTURE.astype(np.float32) / 255
-BAD[3, 4, 1] = np.nan
+FLOATS = PICTURE.astype(np.float32) / 255
 
 # name -> (file name, writes it, words of the line)
 REFUSED = {
@@ -206,9 +193,8 @@ REFUSED = {
                              ("cut short",)),
     "TIFF of 2^31 rows": ("a.tif", tiff_claims(257, 2**31 - 1), ("a.tif", ";")),
     "Lab TIFF": ("a.tif", tiff(photometric="cielab"), ("CIELAB", "convert it to RGB")),
-    "EXR of depth": ("a.exr", library(LIGHT[..., :1].copy(), "float", ("Z",)), ("channels are Z",)),
-    "EXR with NaN": ("a.exr", library(BAD, "float"), ("1 of its samples", "NaN")),
-    "double TIFF": ("a.tif", tiff(LIGHT.astype(np.float64)), ("64 bits", "convert it")),
+    "EXR": ("a.exr", library(FLOATS, "float"), ("floating point", "convert it")),
+    "float TIFF": ("a.tif", tiff(FLOATS), ("floating point", "convert it")),
     "TIFF in LZMA": ("a.tif", tiff(compression="lzma"), ("LZMA", "convert it")),
     "netpbm of huge size": ("a.ppm", lambda p: p.write_bytes(b"P6 99999999 99999999 255\n"),
                             ("a.ppm", ";")),
@@ -231,14 +217,11 @@ def test_refused_in_one_line(tmp_path, case):
 
 def test_what_a_header_says(tmp_path):
     found = {}
-    for case in ("EXR with alpha", "linear PNG", "PNG of gamma 0.45", "alpha PNG", "EXIF turned",
-                 "five channels", "palette with transparency"):
+    for case in ("alpha PNG", "EXIF turned", "five channels", "palette with transparency"):
         name, write, _, _ = READ[case]
         write(tmp_path / name)
         with opened(tmp_path / name) as photo:
-            found[case] = photo.linear, photo.has_alpha, photo.orientation, photo.extra
+            found[case] = photo.has_alpha, photo.orientation, photo.extra
     assert found == {
-        "EXR with alpha": (True, True, 1, 0), "linear PNG": (True, False, 1, 0),
-        "PNG of gamma 0.45": (False, False, 1, 0), "alpha PNG": (False, True, 1, 0),
-        "EXIF turned": (False, False, 6, 0), "five channels": (False, False, 1, 2),
-        "palette with transparency": (False, True, 1, 0)}
+        "alpha PNG": (True, 1, 0), "EXIF turned": (False, 6, 0), "five channels": (False, 1, 2),
+        "palette with transparency": (True, 1, 0)}

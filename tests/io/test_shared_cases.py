@@ -31,7 +31,7 @@ def test_models(name, count):
 
 
 @pytest.mark.parametrize("read, name, words", [
-    (read_model, "sog1.sog", "version 1"),
+    (read_model, "sog1.sog", "version 1"), (read_scene, "transforms_opencv_k4", "coefficient k4"),
     (read_scene, "images_txt_one_line_each", "images.txt")])
 def test_what_cannot_be_read_is_refused_by_name(read, name, words):
     with pytest.raises(InputError, match=words):

@@ -99,7 +99,7 @@ def read_image(source: Source, size: tuple[int, int] | None = None,
     source : a path, the encoded bytes of a photo, or an array, as `photo.opened` takes them.
     size : (width, height), pixels, to which the image is resampled by area averaging.
     window : (left, top, right, bottom), pixels, the part to read; None reads all.
-    levels : the samples of 16 bits that become black and white (io/photos/levels.py).
+    levels : the samples of 16 bits that become black and white.
     """
     with opened(source) as photo:
         photo.levels = levels

@@ -16,12 +16,8 @@ from numpy.typing import NDArray
 from clsplat.camera import Lens
 from clsplat.errors import InputError
 
-Model = tuple[str, tuple[float, ...]]  # name of a camera model, most of COLMAP, and parameters
+Model = tuple[str, tuple[float, ...]]  # name of a camera model of COLMAP, and parameters
 PANORAMA = "EQUIRECTANGULAR"
-# Brown's model with a radial term of r^8, which no model of COLMAP has. nerfstudio and
-# Metashape call its coefficient k4; that of FULL_OPENCV is another, which divides
-BROWN_K4 = "BROWN_K4"
-ROUNDS = 100  # of the fixed-point iteration that inverts it
 MOST_DEGREES = 60.0  # from the axis, in a single view: there pixels are stretched fourfold
 MOST_LOST = 0.1  # of the photo's pixels, to have an undistorted photo without uncovered pixels
 SMALLEST, LARGEST = 0.1, 2.0  # times the photo's sides: of an undistorted photo
@@ -41,6 +37,9 @@ def brown_model(pinhole: Sequence[float], radial: Sequence[float],
                 tangential: Sequence[float] = (0.0, 0.0)) -> Model | None:
     """The simplest camera model that equals Brown's with these coefficients; None: a pinhole's.
 
+    ValueError if there is none, for the factor of r^8 that nerfstudio and Metashape call k4. The k4
+    of FULL_OPENCV is another, which divides.
+
     Parameters
     ----------
     pinhole : fx, fy, cx, cy, pixels.
@@ -49,7 +48,8 @@ def brown_model(pinhole: Sequence[float], radial: Sequence[float],
     """
     k1, k2, k3, k4 = (*radial, 0.0, 0.0, 0.0, 0.0)[:4]
     if k4:
-        return BROWN_K4, (*pinhole, k1, k2, k3, k4, *tangential)
+        raise ValueError("no camera model of COLMAP has its coefficient k4, of r^8; optimise the "
+                         "cameras without it, or export undistorted photos")
     if k3:
         return "FULL_OPENCV", (*pinhole, k1, k2, *tangential, k3, 0.0, 0.0, 0.0)
     if any((k1, k2, *tangential)):
@@ -304,8 +304,6 @@ def _rays(lens: Lens, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _camera(lens: Lens) -> Any:
-    if lens.model == BROWN_K4:
-        return Brown(lens.parameters)
     import pycolmap
 
     try:
@@ -314,38 +312,3 @@ def _camera(lens: Lens) -> Any:
     except (ValueError, RuntimeError, KeyError) as error:
         raise ValueError(f"pycolmap {pycolmap.__version__} does not know {lens.model}; a newer "
                          "one may") from error
-
-
-class Brown:
-    """A camera with the model BROWN_K4 (fx, fy, cx, cy, k1, k2, k3, k4, p1, p2; pixels); as much of
-    pycolmap.Camera as is used here."""
-
-    def __init__(self, parameters: Sequence[float]) -> None:
-        values = np.array(parameters, np.float64)
-        self._focal, self._centre = values[:2], values[2:4]
-        self._radial, self._tangential = values[4:8], values[8:]
-
-    def img_from_cam(self, rays: NDArray[np.float64], check_cheirality: bool = False
-                     ) -> NDArray[np.float64]:
-        """Pixels float64[N, 2] of rays float64[N, 3], which are in front of the camera."""
-        with np.errstate(all="ignore"):
-            return self._distorted(rays[:, :2] / rays[:, 2:]) * self._focal + self._centre
-
-    def cam_ray_from_img(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Unit rays float64[N, 3] of pixels float64[N, 2]; of no meaning where there is none."""
-        with np.errstate(all="ignore"):
-            wanted = (pixels - self._centre) / self._focal
-            places = wanted.copy()
-            for _ in range(ROUNDS):
-                places += wanted - self._distorted(places)
-            rays = np.column_stack([places, np.ones(len(places))])
-            unit: NDArray[np.float64] = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-            return unit
-
-    def _distorted(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where x/z and y/z [N, 2] appear."""
-        (x, y), (k1, k2, k3, k4), (p1, p2) = places.T, self._radial, self._tangential
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
-        return np.stack([x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-                         y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y)], axis=1)

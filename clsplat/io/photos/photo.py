@@ -4,7 +4,7 @@ docs/guide/photos.md has a table of the formats that are read.
 """
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,15 +20,17 @@ from clsplat.io.regular import open_regular
 # a header that claims more pixels is damaged: no decoder may allocate memory for it
 MOST_PIXELS = 1 << 30
 PIXELS_PER_BYTE = 1 << 13  # deflate's limit, for samples of one bit
-FORMATS = ("jpeg", "png", "tiff", "webp", "bmp", "gif", "jpeg2000", "jpegxl", "openexr", "hdr",
-           "pnm", "targa")
+FORMATS = ("jpeg", "png", "tiff", "webp", "bmp", "gif", "jpeg2000", "jpegxl", "openexr", "pnm",
+           "targa")  # openexr: depth maps
 CONVERT = "convert it to JPEG or PNG"
 # TIFF's PhotometricInterpretation: white is zero, black is zero, RGB, palette, CMYK, YCbCr
 COLOUR_MODELS = (0, 1, 2, 3, 5, 6)
 FLOAT_SAMPLES = ("half", "float")
+MOST_READ = 32  # photos, evenly chosen, whose samples decide the levels
+SHARES = (0.1, 99.9)  # per cent of a photo's samples, between which they count
+FEWEST_STEPS = 64.0  # of 8 bits that samples fill, with which they are left as they are
 Levels = tuple[float, float]  # samples of 16 bits that become black and white
 Source = str | Path | bytes | NDArray[Any]  # a file, an encoded photo, or pixels: see `opened`
-LUMINANCE_CHANNELS, LINEAR_FORMATS = ("Y", "I", "L"), ("openexr", "hdr")
 
 
 class Photo:
@@ -39,7 +41,6 @@ class Photo:
     name : for messages.
     width, height : pixels as stored.
     orientation : the number in EXIF, 1 without one.
-    linear : whether its samples are linear light.
     extra : how many channels there are beyond colour and alpha.
     is_deep : whether it is grey, with samples of 16 bits.
     levels : the samples that become black and white; None: the least and the greatest of all.
@@ -47,16 +48,12 @@ class Photo:
 
     def __init__(self, name: str | Path, image: Any) -> None:
         self.name, self._image, self._spec = name, image, image.spec()
-        spec = self._spec
+        spec, kind = self._spec, image.format_name()
         self.width: int = spec.width
         self.height: int = spec.height
         self.orientation: int = spec.get_int_attribute("Orientation", 1)
-        self._channels = _colour_channels(spec, image.format_name(), name)
-        space = spec.get_string_attribute("oiio:ColorSpace").lower()
-        deep = str(spec.format) in FLOAT_SAMPLES
-        self.linear: bool = space.startswith("lin") or (deep and not space.startswith("srgb"))
-        # every GIF is read with alpha
-        self.has_alpha: bool = spec.alpha_channel >= 0 and image.format_name() != "gif"
+        self._channels = _colour_channels(spec, kind, name)
+        self.has_alpha: bool = spec.alpha_channel >= 0 and kind != "gif"  # each GIF is read with it
         self.is_deep: bool = str(spec.format) == "uint16" and len(set(self._channels)) == 1
         self.levels: Levels | None = None
         self.extra: int = spec.nchannels - len(set(self._channels)) - (spec.alpha_channel >= 0)
@@ -69,12 +66,28 @@ class Photo:
 
     def bands(self, top: int, bottom: int) -> Iterator[NDArray[np.uint8]]:
         """Yield the rows from `top` to `bottom` in order, uint8[n, W, 3], sRGB."""
-        if self.levels is None:
-            return self._bands(top, bottom, self._colours)
-        return self._bands(top, bottom, self._stretched, "uint16")
+        for samples in self._bands(top, bottom, "uint16" if self.levels else "uint8"):
+            # a list of channels copies them one after the other, and who reads rows copies again
+            pixels = samples[..., :3] if self._channels == (0, 1, 2) else samples[
+                ..., list(self._channels)]
+            if self.levels:
+                low, high = self.levels
+                grey = (pixels - np.float32(low)) * np.float32(255 / (high - low))
+                pixels = (np.clip(grey, 0, 255) + np.float32(0.5)).astype(np.uint8)
+            yield pixels
 
-    def _bands(self, top: int, bottom: int, converted: Callable[[NDArray[Any]], NDArray[Any]],
-               kind: str = "") -> Iterator[NDArray[Any]]:
+    def samples(self) -> NDArray[np.uint16]:
+        """The grey samples of a deep photo, uint16[H, W]."""
+        return np.concatenate([rows[..., self._channels[0]]
+                               for rows in self._bands(0, self.height, "uint16")])
+
+    def alpha(self) -> NDArray[np.uint8]:
+        """The alpha channel, uint8[H, W]; the photo must have one."""
+        return np.concatenate([rows[..., self._spec.alpha_channel].copy()
+                               for rows in self._bands(0, self.height, "uint8")])
+
+    def _bands(self, top: int, bottom: int, kind: str) -> Iterator[NDArray[Any]]:
+        """Samples [n, W, channels] of a kind, "uint8" or "uint16"."""
         spec = self._spec
         # OpenImageIO refuses parts of tiles, and reads wrong rows for parts of some TIFFs' strips
         unit = spec.tile_height or spec.get_int_attribute("tiff:RowsPerStrip", 1)
@@ -82,63 +95,26 @@ class Photo:
         step = max(1, band_rows(self.width, spec.nchannels) // unit) * unit
         for row in range(top // unit * unit, bottom, step):
             end = min(row + step, -(-bottom // unit) * unit, self.height)
-            pixels = converted(self._rows(row, end, kind))
-            yield pixels[max(0, top - row):bottom - row]
-
-    def samples(self) -> NDArray[np.uint16]:
-        """The grey samples of a deep photo, uint16[H, W]."""
-        return np.concatenate([*self._bands(0, self.height, lambda rows: rows[
-            ..., self._channels[0]], "uint16")])
-
-    def alpha(self) -> NDArray[np.uint8]:
-        """The alpha channel, uint8[H, W]; the photo must have one."""
-        return np.concatenate([*self._bands(0, self.height, self._opacities)])
-
-    def _opacities(self, samples: NDArray[Any]) -> NDArray[np.uint8]:
-        opacities = samples[..., self._spec.alpha_channel]
-        if self.linear:
-            opacities = np.clip(np.nan_to_num(opacities), 0, 1) * 255 + 0.5
-        return opacities.astype(np.uint8)
+            yield self._rows(row, end, kind)[max(0, top - row):bottom - row]
 
     def _rows(self, begin: int, end: int, kind: str) -> NDArray[Any]:
-        """Samples [end - begin, W, channels] of a kind; "": float32 if they are linear light, else
-        uint8."""
-        spec, kind = self._spec, kind or ("float" if self.linear else "uint8")
+        spec = self._spec
         low, high, channels = spec.y + begin, spec.y + end, spec.nchannels
         if spec.tile_width:
             pixels = self._image.read_tiles(spec.x, spec.x + spec.width, low, high, spec.z,
                                             spec.z + max(1, spec.depth), 0, channels, kind)
         else:
             pixels = self._image.read_scanlines(low, high, spec.z, 0, channels, kind)
-        # a truncated JPEG is filled with grey and only leaves a message
-        reason = reason_of(self._image)
-        if pixels is None or reason:
-            raise InputError(f"{self.name}: the image is damaged or cut short ({reason}); "
-                             f"copy it again, or {CONVERT}")
-        samples: NDArray[Any] = pixels.reshape(end - begin, spec.width, channels)
-        return samples
+        return _whole(self.name, self._image, pixels).reshape(end - begin, spec.width, channels)
 
-    def _stretched(self, samples: NDArray[np.uint16]) -> NDArray[np.uint8]:
-        assert self.levels is not None
-        low, high = self.levels
-        grey = (samples[..., list(self._channels)] - np.float32(low)) * np.float32(
-            255 / (high - low))
-        pixels: NDArray[np.uint8] = (np.clip(grey, 0, 255) + np.float32(0.5)).astype(np.uint8)
-        return pixels
 
-    def _colours(self, samples: NDArray[Any]) -> NDArray[np.uint8]:
-        # a list of channels copies them one after the other, and who reads rows copies them again
-        samples = samples[..., :3] if self._channels == (0, 1, 2) else samples[
-            ..., list(self._channels)]
-        if not self.linear:
-            return samples
-        missing = np.count_nonzero(np.isnan(samples))
-        if missing:
-            raise InputError(f"{self.name}: {missing} of its samples are not numbers (NaN); "
-                             "export it again without them")
-        light: NDArray[np.float32] = np.clip(samples, 0, 1)
-        srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-        return (srgb * 255 + 0.5).astype(np.uint8)
+def _whole(name: str | Path, image: Any, pixels: NDArray[Any] | None) -> NDArray[Any]:
+    """The samples that OpenImageIO has read; InputError if it could not read all of them."""
+    reason = reason_of(image)  # a truncated JPEG is filled with grey and only leaves a message
+    if pixels is None or reason:
+        raise InputError(f"{name}: the image is damaged or cut short ({reason}); copy it again, or "
+                         f"{CONVERT}")
+    return pixels
 
 
 def _colour_channels(spec: Any, kind: str, name: str | Path) -> tuple[int, int, int]:
@@ -147,16 +123,13 @@ def _colour_channels(spec: Any, kind: str, name: str | Path) -> tuple[int, int, 
         model = spec.get_string_attribute("tiff:ColorSpace") or "another colour model"
         raise InputError(f"{name}: a TIFF in {model}, whose colours are not read; "
                          "convert it to RGB")
-    if str(spec.format) == "double":  # OpenImageIO 3.2 reads wrong rows of many such files
-        raise InputError(f"{name}: samples of 64 bits are not read; convert it to 32 or 16 bits")
+    if str(spec.format) in (*FLOAT_SAMPLES, "double") and kind != "array":
+        raise InputError(f"{name}: photos with floating point samples, such as EXR, are not read; "
+                         f"{CONVERT}")
     names = [channel.rpartition(".")[2].upper() for channel in spec.channelnames]
     if all(colour in names for colour in "RGB"):
         return names.index("R"), names.index("G"), names.index("B")
-    if kind in LINEAR_FORMATS and (names[0] not in LUMINANCE_CHANNELS
-                                   or {"RY", "BY"} & set(names)):
-        raise InputError(f"{name}: its channels are {', '.join(spec.channelnames)[:80]}, not red, "
-                         "green and blue; export it as RGB")
-    return (0, 1, 2) if spec.nchannels > 2 and kind not in LINEAR_FORMATS else (0, 0, 0)
+    return (0, 1, 2) if spec.nchannels > 2 else (0, 0, 0)
 
 
 class _ArrayInput:
@@ -175,7 +148,6 @@ class _ArrayInput:
         self._spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(kind))
         self._spec.channelnames = (("Y", "A"), ("R", "G", "B", "A"))[channels > 2][:channels]
         self._spec.alpha_channel = channels - 1 if channels in (2, 4) else -1
-        self._spec.attribute("oiio:ColorSpace", "sRGB")
 
     def spec(self) -> Any:
         return self._spec
@@ -218,11 +190,37 @@ def first_channel(path: Path) -> NDArray[Any]:
             raise InputError(f"{name}: has samples of {kind}; depth maps have 16 bits (millimetres)"
                              " or floats (the scene's units)")
         pixels = image.read_image(0, 0, 0, 1, "uint16" if kind == "uint16" else "float")
-        reason = reason_of(image)
-        if pixels is None or reason:
-            raise InputError(f"{name}: the image is damaged or cut short ({reason}); copy it again")
-        values: NDArray[Any] = pixels.reshape(pixels.shape[:2])
-        return values
+        return _whole(name, image, pixels)[..., 0]
+
+
+def common_levels(sources: Sequence[Source], deep: Sequence[bool]) -> list[Levels | None]:
+    """For each photo the lowest and the greatest sample that count in the whole set, so that a
+    surface keeps its grey from view to view; None for those that are read as they are.
+
+    Temperatures of a thermal camera fill a hundredth of what 16 bits hold: divided by 257, they
+    would be four levels of grey.
+
+    Parameters
+    ----------
+    sources, deep : of photos, as `opened` takes them; and whether each is grey with 16 bits.
+    """
+    read = [source for source, is_deep in zip(sources, deep) if is_deep]
+    ends = []
+    for source in read[::-(-len(read) // MOST_READ) or 1]:
+        with opened(source) as photo:
+            ends.append(np.percentile(photo.samples(), SHARES))
+    low, high = (float(np.min(ends)), float(np.max(ends))) if ends else (0.0, 0.0)
+    is_narrow = 0 < high - low < 257 * FEWEST_STEPS
+    return [(low, high) if is_deep and is_narrow else None for is_deep in deep]
+
+
+def levels_note(levels: Sequence[Levels | None]) -> str:
+    """A line for the user on photos that are stretched; "" if none is."""
+    known = [each for each in levels if each]
+    if not known:
+        return ""
+    return (f"{len(known)} of {len(levels)} photos are grey with 16 bits, of which they use "
+            f"{known[0][0]:.0f} to {known[0][1]:.0f}: all are stretched alike to 8 bits")
 
 
 @contextmanager

@@ -15,15 +15,14 @@ import numpy as np
 
 from clsplat.camera import Lens
 from clsplat.errors import InputError
-from clsplat.io.photos.levels import common_levels, levels_note
 from clsplat.io.photos.metadata import QUARTERS
-from clsplat.io.photos.photo import Photo, opened
+from clsplat.io.photos.photo import Photo, common_levels, levels_note, opened
 from clsplat.io.reason import MOST_CHARACTERS
 from clsplat.scene import Scene, View
 
 # of files that may be photos; what they are follows from their content
-PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".jxl", ".exr",
-                  ".hdr", ".ppm", ".pgm", ".tga", ".gif")
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".jxl",
+                  ".ppm", ".pgm", ".tga", ".gif")
 IMAGES, SMALLER = "images", re.compile(r"images_(\d+)")  # as in Mip-NeRF 360
 ROUNDING = 1.5  # pixels, the tolerance of the size of a smaller photo
 QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that swap width and height
@@ -125,8 +124,6 @@ def _notes(views: Sequence[View], photos: Sequence[Photo]) -> Iterator[str]:
         yield (f"{len(lenses)} of {len(views)} views are undistorted from a lens ({models}) to "
                f"pinhole cameras of {size} pixels")
     for flags, note in (
-            ([photo.linear for photo in photos], "hold linear light (EXR, HDR or floating point): "
-             "they are converted to sRGB, and values above 1 are clipped"),
             ([photo.has_alpha for photo in photos], "have an alpha channel: transparent pixels are "
              "left out of training and scores"),
             ([photo.extra > 0 for photo in photos], "have more channels than colours and alpha: "

@@ -7,7 +7,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.photos.images import write_image
-from clsplat.io.photos.lenses import BROWN_K4, FACES, Brown, undistorted_model
+from clsplat.io.photos.lenses import FACES, undistorted_model
 from clsplat.io.photos.views import read_photo, read_valid
 from clsplat.io.scenes.colmap_files import CAMERA_MODELS, PINHOLES
 from clsplat.scene import View
@@ -20,8 +20,7 @@ DISTORTION = {
     "FOV": (0.8,), "SIMPLE_RADIAL_FISHEYE": (0.02,), "RADIAL_FISHEYE": (0.02, -0.01),
     "THIN_PRISM_FISHEYE": (0.02, 0, 0.001, 0.001, 0, 0, 0.001, 0.001),
     "RAD_TAN_THIN_PRISM_FISHEYE": (0.02, *[0.001] * 11), "SIMPLE_DIVISION": (-0.1,),
-    "DIVISION": (-0.1,), "SIMPLE_FISHEYE": (), "FISHEYE": (), "EUCM": (0.6, 1.1),
-    "BROWN_K4": (-0.1, 0.02, 0.01, -0.03, 0.001, -0.002)}
+    "DIVISION": (-0.1,), "SIMPLE_FISHEYE": (), "FISHEYE": (), "EUCM": (0.6, 1.1)}
 PANORAMA = "EQUIRECTANGULAR"
 
 
@@ -29,7 +28,7 @@ def parameters(model, focal=130.0):
     """Of a camera of SIZE; a panorama of 4 x 2 right angles has no others."""
     if model == PANORAMA:
         return tuple(map(float, SIZE))
-    count = CAMERA_MODELS.get(model, 10) - len(DISTORTION[model]) - 2
+    count = CAMERA_MODELS[model] - len(DISTORTION[model]) - 2
     return (*[focal] * count, SIZE[0] / 2 + 3, SIZE[1] / 2 - 2, *DISTORTION[model])
 
 
@@ -50,8 +49,7 @@ def arrays_of(names, size=SIZE):
 def photo_of(path, model, values, size=SIZE):
     """Write the photo that a camera takes of `colours`; returns its path."""
     x, y = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
-    camera = Brown(values) if model == BROWN_K4 else pycolmap.Camera(
-        model=model, width=size[0], height=size[1], params=list(values))
+    camera = pycolmap.Camera(model=model, width=size[0], height=size[1], params=list(values))
     rays = np.array(camera.cam_ray_from_img(np.stack([x.ravel(), y.ravel()], axis=1)))
     write_image(path, np.nan_to_num(colours(rays)).reshape(*x.shape, 3))
     return path
@@ -93,7 +91,7 @@ def test_an_undistorted_photo_shows_what_its_camera_sees(model, tmp_path):
 
 
 def test_models_are_all_those_of_colmap():
-    assert {*DISTORTION, *PINHOLES, PANORAMA} == {*CAMERA_MODELS, BROWN_K4}
+    assert {*DISTORTION, *PINHOLES, PANORAMA} == {*CAMERA_MODELS}
 
 
 @pytest.mark.parametrize("model", [PANORAMA, "OPENCV_FISHEYE", "EUCM"])
@@ -148,20 +146,3 @@ def test_parameters_that_describe_no_lens_are_refused_or_bounded(model, bad):
         else:
             assert (made["sizes"] <= 2 * max(SIZE)).all() and (made["sizes"] > 0).all()
             assert np.isfinite(made["focals"]).all() and np.isfinite(made["centres"]).all()
-
-
-@pytest.mark.parametrize("radial", [(0.1, -0.02, 0.03), (0.0, 0.0, 0.0)])
-def test_brown_with_four_radial_terms(radial):
-    """With the fourth term zero it is FULL_OPENCV; and that term is the factor of r^8."""
-    rays = np.array([(x, y, 1.0) for x in np.linspace(-0.5, 0.5, 9) for y in (-0.4, 0.1, 0.3)])
-    pinhole, (p1, p2) = (130.0, 125.0, 83.0, 58.0), (0.002, -0.003)
-    full = pycolmap.Camera(model="FULL_OPENCV", width=160, height=120, params=[
-        *pinhole, *radial[:2], p1, p2, radial[2], 0, 0, 0])
-    exact = np.array(full.img_from_cam(rays))
-    assert np.abs(Brown((*pinhole, *radial, 0, p1, p2)).img_from_cam(rays) - exact).max() < 1e-10
-    lens = Brown((*pinhole, *radial, -0.3, p1, p2))
-    found = lens.img_from_cam(rays)
-    r2 = (rays[:, :2] ** 2).sum(axis=1, keepdims=True)
-    assert np.allclose(found - exact, -0.3 * r2**4 * rays[:, :2] * pinhole[:2], atol=1e-10)
-    back = lens.cam_ray_from_img(found)
-    assert np.allclose(back / back[:, 2:], rays, atol=1e-10)

@@ -7,8 +7,8 @@ import pytest
 import tifffile
 from PIL import Image
 
-from clsplat.io.photos.levels import common_levels, levels_note
 from clsplat.io.photos.metadata import read_metadata
+from clsplat.io.photos.photo import common_levels, levels_note
 from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
 from clsplat.io.scenes.write import write_scene as write
