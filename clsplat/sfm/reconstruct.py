@@ -309,10 +309,8 @@ def _placed(mapped: Mapped, unfinished: Unfinished, photos: Sequence[SourcePhoto
     metadata = {photo.name: photo.metadata for photo in photos}
     model = named(mapped.reconstruction)
     try:
-        placed = place_reconstruction(
-            model, metadata, crs=control.crs or None, control=control.points,
-            vertical=control.vertical, adjusts=True, keep_focal=are_calibrated(cameras))
+        return model, place_reconstruction(model, metadata, control, adjusts=True,
+                                           keep_focal=are_calibrated(cameras)), False
     except NotGeoreferenced as error:
         model = named(pycolmap.Reconstruction(unfinished.folder / MODEL))  # before an adjustment
         return model, turned(model, metadata, error), True
-    return model, replace(placed, notes=(*control.notes, *placed.notes)), False

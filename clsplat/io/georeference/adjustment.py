@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from clsplat.placement.alignment import LEAST_POSITIONS
 MARK_TOLERANCE = 20.0  # pixels by which a mark may miss the point that the others show
 ADJUSTED_TOLERANCE = 8.0  # pixels, RMS of the marks of a point to which the bundle is adjusted
 LEAST_ANGLE = np.radians(1.0)  # between rays; from closer ones the distance is not known
+Mark = tuple[int, float, float]  # id of a pycolmap.Image, and pixels
 
 
 class NotGeoreferenced(InputError):
@@ -38,11 +40,11 @@ class NotGeoreferenced(InputError):
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """A ground control point with the marks, (id of a pycolmap.Image, x, y), that agree with each
-    other, and the place where their rays meet in the reconstruction."""
+    """A ground control point with the marks that agree with each other, and the place float64[3]
+    in the reconstruction where their rays meet."""
 
     point: ControlPoint
-    marks: tuple[tuple[int, float, float], ...]
+    marks: tuple[Mark, ...]
     place: NDArray[np.float64]
 
 
@@ -70,7 +72,8 @@ def locate(reconstruction: Any, control: Iterable[ControlPoint]) -> tuple[list[L
     named = {name.rpartition("/")[2]: image for name, image in named.items()} | named
     located, lost = [], []
     for point in control:
-        marks = [(named[name], x, y) for name, x, y in point.marks if name in named]
+        marks = [(named[name].image_id, x, y) for name, x, y in point.marks if name in named
+                 and 0 <= x <= named[name].camera.width and 0 <= y <= named[name].camera.height]
         found = _located(reconstruction, point, marks, MARK_TOLERANCE)
         if found is None:
             lost.append(point.name)
@@ -79,58 +82,22 @@ def locate(reconstruction: Any, control: Iterable[ControlPoint]) -> tuple[list[L
     return located, lost
 
 
-def _located(reconstruction: Any, point: ControlPoint, marks: Sequence[tuple[Any, float, float]],
-             tolerance_pixels: float) -> Located | None:
-    origins, directions, radians, kept = [], [], [], []  # radians: of a pixel
-    for image, x, y in marks:
-        camera = reconstruction.cameras[image.camera_id]
-        if not (0 <= x <= camera.width and 0 <= y <= camera.height):
-            continue
-        ray = image.cam_from_world().rotation.matrix().T @ np.append(
-            camera.cam_from_img(np.array([x, y])), 1.0)
-        origins.append(image.projection_center())
-        directions.append(ray / np.linalg.norm(ray))
-        radians.append(1 / camera.mean_focal_length())
-        kept.append((image.image_id, x, y))
-    if len(origins) < 2:
+def _located(reconstruction: Any, point: ControlPoint, marks: Sequence[Mark], tolerance: float
+             ) -> Located | None:
+    """The point by most of its marks, each within a tolerance in pixels; None if there are not two
+    whose rays meet at an angle."""
+    if len(marks) < 2:
         return None
-    found = intersection(np.array(origins), np.array(directions), tolerance_pixels * max(radians))
-    return found and Located(
-        point, tuple(mark for mark, right in zip(kept, found[1]) if right), found[0])
-
-
-def intersection(origins: NDArray[np.float64], directions: NDArray[np.float64],
-                 tolerance: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]] | None:
-    """The point nearest to most of several rays.
-
-    Parameters
-    ----------
-    origins, directions : [K, 3]; camera centres, and unit vectors.
-    tolerance : radians, by which a ray may miss the point; rays that miss it by more are left out,
-        the worst first.
-
-    Returns
-    -------
-    The point [3], and which rays it comes from as bool[K]; None if there are not two rays from
-    sufficiently different directions that meet, or the point is behind a camera.
-    """
-    used: NDArray[np.bool_] = np.all(np.isfinite(directions), axis=1)
-    while used.sum() >= 2:
-        projectors = np.eye(3) - directions[used, :, None] * directions[used, None, :]
-        matrix = projectors.sum(axis=0)
-        # for two rays with an angle a between them, the least eigenvalue is 1 - cos a
-        if np.linalg.eigvalsh(matrix)[0] < 1 - np.cos(LEAST_ANGLE):
-            return None
-        point: NDArray[np.float64] = np.linalg.solve(
-            matrix, np.einsum("kij,kj->i", projectors, origins[used]))
-        towards = point - origins
-        misses = np.arctan2(np.linalg.norm(np.cross(towards, directions), axis=1),
-                            (towards * directions).sum(axis=1))
-        worst = int(np.argmax(np.where(used, misses, -1.0)))
-        if misses[worst] <= tolerance:
-            return point, used
-        used[worst] = False
-    return None
+    images = [reconstruction.images[number] for number, _, _ in marks]
+    options = pycolmap.EstimateTriangulationOptions(min_tri_angle=LEAST_ANGLE)
+    options.ransac.max_error = min(  # radians
+        np.pi, tolerance / min(image.camera.mean_focal_length() for image in images))
+    options.ransac.random_seed = 0
+    found = pycolmap.estimate_triangulation(
+        [(x, y) for _, x, y in marks], [image.cam_from_world() for image in images],
+        [image.camera for image in images], options)
+    return None if found is None else Located(
+        point, tuple(compress(marks, found["inliers"])), found["xyz"])
 
 
 def adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.float64],
@@ -200,9 +167,7 @@ def residuals(reconstruction: Any, located: Iterable[Located], used: Iterable[Lo
     are neither check points nor wrong."""
     names, result = {item.point.name for item in used}, []
     for item in located:
-        point = item.point
-        marks = [(reconstruction.images[number], x, y) for number, x, y in item.marks]
-        found = _located(reconstruction, point, marks, np.inf)
+        point, found = item.point, _located(reconstruction, item.point, item.marks, np.inf)
         if found is not None:
             role = CHECK if point.is_check else CONTROL if point.name in names else LEFT_OUT
             east, north, up = np.round(found.place + offset - point.position, 4).tolist()

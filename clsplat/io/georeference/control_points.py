@@ -10,8 +10,7 @@ numbers may have decimal commas. Lines that begin with # are ignored.
 from __future__ import annotations
 
 import csv
-import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
+from clsplat.io.fields import parsed, reading
 from clsplat.io.georeference.crs import (
     WGS84,
     has_metres,
@@ -28,7 +28,7 @@ from clsplat.io.georeference.crs import (
     normal_crs,
     on_ground,
 )
-from clsplat.io.reason import clean, reason
+from clsplat.io.reason import clean
 from clsplat.io.regular import read_regular
 
 NUMBERS = ("x", "y", "z", "pixel_x", "pixel_y")
@@ -93,29 +93,30 @@ def read_control_points(path: str | Path | None, crs: str | None = None,
                              "--gcp")
         return ControlPoints(crs=crs or "")
     path = Path(path)
-    try:
-        text = read_regular(path).decode("utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; check the path") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({reason(error)}); {CURE}") from None
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)
-             if line.strip() and not line.lstrip().startswith("#")]
-    own = crs
-    if lines and not _header(lines[0][1]):
-        own = normal_crs(lines.pop(0)[1].strip('";, \t'), str(path))
-    if own is None:
-        raise InputError(f"{path}: names no coordinate reference system; write one into the first "
-                         "line, such as EPSG:32632, or give --crs")
     points: dict[tuple[str, float, float, float], list[tuple[str, float, float]]] = {}
-    for name, x, y, z, pixel_x, pixel_y, image in _rows(path, lines):
-        points.setdefault((name, x, y, z), []).append((image, pixel_x, pixel_y))
+    with reading(path, "a file of ground control points", CURE):
+        text = read_regular(path).decode("utf-8-sig")
+        lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)
+                 if line.strip() and not line.lstrip().startswith("#")]
+        own = crs
+        if lines and not _header(lines[0][1]):
+            own = normal_crs(lines.pop(0)[1].strip('";, \t'), str(path))
+        if own is None:
+            raise InputError(f"{path}: names no coordinate reference system; write one into the "
+                             "first line, such as EPSG:32632, or give --crs")
+        header = _header(lines[0][1]) if lines else []
+        for number, line in lines[bool(header):]:
+            name, place, mark = _row(header or COLUMNS, number, line)
+            points.setdefault((name, *place), []).append(mark)
     if not points:
         raise InputError(f"{path}: has no ground control points; {CURE}")
-    _check_names(path, [key for key in points if key[0]])
+    names = [key[0] or f"point {number}" for number, key in enumerate(points, 1)]
+    double = next((name for name, *_ in points if name and names.count(name) > 1), None)
+    if double:
+        raise InputError(f"{path}: point {double} has several coordinates; correct one, or rename "
+                         "it")
     places, target, vertical, notes = _in_metres(
         path, np.array([key[1:] for key in points]), own, crs)
-    names = [key[0] or f"point {number}" for number, key in enumerate(points, 1)]
     for name, place in zip(names, places):
         if not np.isfinite(place).all():
             raise InputError(f"{path}: point {name.removeprefix('point ')} has no "
@@ -131,14 +132,8 @@ def read_control_points(path: str | Path | None, crs: str | None = None,
         target, vertical, notes)
 
 
-def _check_names(path: Path, points: Sequence[tuple[str, float, float, float]]) -> None:
-    """InputError if one name has several coordinates, of which all but one are wrong."""
-    places: dict[str, str] = {}
-    for name, *place in points:
-        words = " ".join(f"{value:.10g}" for value in place)
-        if places.setdefault(name, words) != words:
-            raise InputError(f"{path}: point {name} has several coordinates, {places[name]} and "
-                             f"{words}; correct one, or rename it")
+def _separator(line: str) -> str:
+    return next((each for each in "\t;," if line.count(each) >= len(NUMBERS)), " ")
 
 
 def _cells(line: str) -> list[str]:
@@ -149,36 +144,23 @@ def _cells(line: str) -> list[str]:
                                                      skipinitialspace=True))]
 
 
-def _separator(line: str) -> str:
-    return next((each for each in "\t;," if line.count(each) >= len(NUMBERS)), " ")
-
-
 def _header(line: str) -> list[str]:
     """The columns that a line names; empty: it is no header."""
     names = [OF_WEBODM.get(cell.lower(), cell.lower()) for cell in _cells(line[:LONGEST_HEADER])]
     return names if set(COLUMNS[:-1]) <= set(names) else []
 
 
-def _rows(path: Path, lines: Sequence[tuple[int, str]]
-          ) -> Iterator[tuple[str, float, float, float, float, float, str]]:
-    """Of each line the name, the five numbers and the photo."""
-    header = _header(lines[0][1]) if lines else []
-    for number, line in lines[bool(header):]:
-        try:
-            cells = dict(zip(header or COLUMNS, _cells(line)))
-            missing = [name for name in COLUMNS[:-1] if name not in cells]
-            if missing:
-                raise ValueError(f"it lacks {', '.join(missing)}")
-            comma = "." if _separator(line) == ";" else ","
-            values = [float(cells[name].replace(",", comma)) for name in NUMBERS]
-            if not all(math.isfinite(value) and abs(value) < 1e9 for value in values):
-                raise ValueError("a number is not finite")
-            if not cells["image"]:
-                raise ValueError("it names no photo")
-        except (ValueError, csv.Error) as error:
-            raise InputError(f"{path}: line {number} is not a ground control point "
-                             f"({reason(error)}); {CURE}") from None
-        yield clean(cells.get("name", "")), *values, clean(cells["image"])  # type: ignore[misc]
+def _row(header: Sequence[str], number: int, line: str
+         ) -> tuple[str, tuple[float, float, float], tuple[str, float, float]]:
+    """The name of a point, its coordinates and its mark; ValueError names the fault."""
+    cells = dict(zip(header, _cells(line)))
+    missing = [name for name in COLUMNS[:-1] if not cells.get(name)]
+    if missing:
+        raise ValueError(f"line {number} lacks {', '.join(missing)}")
+    comma = "." if _separator(line) == ";" else ","
+    x, y, z, pixel_x, pixel_y = (
+        parsed(cells[name].replace(",", comma), f"{name} of line {number}") for name in NUMBERS)
+    return clean(cells.get("name", "")), (x, y, z), (clean(cells["image"]), pixel_x, pixel_y)
 
 
 def _in_metres(path: Path, places: NDArray[np.float64], own: str, crs: str | None

@@ -19,14 +19,8 @@ from clsplat.io.georeference.adjustment import (
     locate,
     residuals,
 )
-from clsplat.io.georeference.control_points import ControlPoint
-from clsplat.io.georeference.crs import (
-    UTM_EPSG,
-    heights_of,
-    horizontal,
-    map_positions,
-    outside,
-)
+from clsplat.io.georeference.control_points import ControlPoints
+from clsplat.io.georeference.crs import UTM_EPSG, heights_of, horizontal, map_positions, outside
 from clsplat.io.photos.metadata import PhotoMetadata
 from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, LEAST_POSITIONS, Alignment
 from clsplat.placement.plausible import Guess, Implausible, believed, doubts
@@ -34,9 +28,7 @@ from clsplat.placement.similarity import Similarity, rotation_to
 from clsplat.placement.up import CAMERA_DEGREES, UP, Vertical, gimbal_up
 
 LEAST_GIMBALS = 0.5  # share of the photos whose gimbals must be known
-LOWEST_GROUND = -30.0  # metres; hardly any land lies lower
 UNKNOWN_STD = 3.0  # metres, of GPS that does not state it, among photos that do
-UTM_LATITUDES = (-80.0, 84.0)  # degrees
 FOOT = 0.3048
 SHOWN = 5  # names in a sentence
 FARTHEST = 1000.0  # metres from the photos' GPS to where control points place them
@@ -64,10 +56,9 @@ class Placed:
 
 
 def place_reconstruction(reconstruction: pycolmap.Reconstruction,
-                         metadata: Mapping[str, PhotoMetadata], *, crs: str | None = None,
-                         control: Sequence[ControlPoint] = (), vertical: str = "",
-                         up: ArrayLike | None = None, adjusts: bool = False,
-                         keep_focal: bool = False) -> Placed:
+                         metadata: Mapping[str, PhotoMetadata],
+                         control: ControlPoints, *, up: ArrayLike | None = None,
+                         adjusts: bool = False, keep_focal: bool = False) -> Placed:
     """Turn, scale and move a reconstruction in place, so that its axes are east, north and up.
 
     Ground control points decide if there are any, otherwise GPS.
@@ -76,9 +67,7 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     ----------
     reconstruction : with the cameras of the photos as they were taken, before undistortion.
     metadata : of the photos, by their names in the reconstruction; some may be missing.
-    crs : the coordinate reference system, see `crs.scene_crs`; None: the UTM zone. That of
-        `control`, if there is any.
-    control, vertical : ground control points, and what their heights count from.
+    control : ground control points, and the coordinate reference system; "": the UTM zone.
     up : float[3], in the reconstruction, the direction that points up; None: by gimbals or cameras.
     adjusts : whether cameras and points are then adjusted to the control points; otherwise the
         reconstruction keeps its shape.
@@ -91,12 +80,12 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     """
     images, points = _content(reconstruction)
     known_up = _vertical(images, points, metadata, up)
-    located, lost = locate(reconstruction, control)
+    located, lost = locate(reconstruction, control.points)
     used = [item for item in located if not item.point.is_check]
-    measured = _by_control(used, lost, crs or "", vertical) if control else _by_gps(
-        images, metadata, crs)
-    result = _believed(measured, known_up, bool(control))
-    if control:
+    measured = (_by_control(used, lost, control) if control.points else
+                _by_gps(images, metadata, control.crs or None))
+    result = _believed(measured, known_up)
+    if control.points:
         require_near_gps(result, images, metadata, measured.crs)
     centres = np.array([image.projection_center() for image in images])
     ground = np.median(result.similarity(points if len(points) else centres), axis=0)
@@ -104,7 +93,7 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     _transform(reconstruction, Similarity(
         result.similarity.scale, result.similarity.rotation,
         result.similarity.translation - offset))
-    if control:
+    if control.points:
         used = (adjust(reconstruction, used, offset, keep_focal) if adjusts else
                 [item for item, right in zip(used, result.used & result.used_heights) if right])
         found = residuals(reconstruction, located, used, offset)
@@ -112,28 +101,29 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
         warnings = doubts(result, measured.positions, known_up, "the surveyed area",
                           residuals=errors, heights_count=True)
     else:
+        away = np.round(result.similarity(measured.places) - measured.positions, 4)
+        found = tuple(
+            Residual(name, CONTROL if right else LEFT_OUT, east, north,
+                     up if np.isfinite(up) else None)
+            for name, right, (east, north, up) in zip(measured.names, result.used, away.tolist())
+            if np.isfinite(east))
         wrong = [name for name, right in zip(measured.names, result.used) if not right]
-        without = f", without {_listed(wrong)}, whose positions are wrong" if wrong else ""
-        source, errors = f"GPS of {result.used.sum()} photos{without}", (
-            result.horizontal, result.vertical)
-        found = _missed(measured, result)
+        source = f"GPS of {result.used.sum()} photos" + (
+            f", without {_listed(wrong)}, whose positions are wrong" if wrong else "")
+        errors = result.horizontal, result.vertical
         height = f", {result.vertical:.2f} m in height" * bool(np.isfinite(result.vertical))
         notes = [f"georeferenced by the {source}: residual {result.horizontal:.2f} m along the "
                  f"ground{height}"]
         warnings = doubts(result, measured.positions, known_up, "the flight")
-        if ground[2] < LOWEST_GROUND:
-            warnings.append(f"by the photos' altitudes the ground lies at {ground[2]:.0f} m: these "
-                            "are probably not heights above sea level; give --gcp if heights "
-                            "matter")
-    notes += measured.notes
+    notes = [*control.notes, *notes, *measured.notes]
     if not result.levelled_by_heights:
         source_of_up = "cameras" if known_up.degrees == CAMERA_DEGREES else "gimbals"
         notes.append(f"heights do not show which way is up; the {source_of_up} do")
-    east, north, height = offset.tolist()
+    east, north, height_of_origin = offset.tolist()
     return Placed(Georeference(
-        measured.crs, (east, north, height), source, errors[0], "gcp" if control else "gps",
-        round(result.size, 3), measured.vertical, found, tuple(warnings)), UP,
-        tuple(notes), tuple(warnings))
+        measured.crs, (east, north, height_of_origin), source, errors[0],
+        "gcp" if control.points else "gps", round(result.size, 3), measured.vertical, found,
+        tuple(warnings)), UP, tuple(notes), tuple(warnings))
 
 
 def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, PhotoMetadata],
@@ -171,18 +161,19 @@ class _Measured:
     """Positions of photos or of ground control points: `places` in the reconstruction, and
     `positions` in map coordinates, nan for what is unknown, with what they may be instead."""
 
-    names: tuple[str, ...]
+    names: list[str]
     places: NDArray[np.float64]
     positions: NDArray[np.float64]
-    guesses: tuple[Guess, ...]
+    guesses: list[Guess]
     crs: str
     vertical: str
     std: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
+    is_control: bool = False
 
 
-def _by_control(located: Sequence[Located], lost: Sequence[str], crs: str, vertical: str
-               ) -> _Measured:
+def _by_control(located: Sequence[Located], lost: Sequence[str], control: ControlPoints
+                ) -> _Measured:
     """Ground control points; NotGeoreferenced if they are too few, or outside their CRS."""
     if len(located) < LEAST_POSITIONS:
         missing = f" (not located: {_listed(lost)})" if lost else ""
@@ -190,40 +181,34 @@ def _by_control(located: Sequence[Located], lost: Sequence[str], crs: str, verti
             f"--gcp: {len(located)} of {len(located) + len(lost)} ground control points can be "
             f"located in the photos, and {LEAST_POSITIONS} are needed{missing}; mark each in two "
             "photos or more, by the names and in the pixels of the photos that were reconstructed")
-    positions = np.array([item.point.position for item in located])
+    crs, positions = control.crs, np.array([item.point.position for item in located])
     degrees = (np.abs(positions[:, :2]) <= (180, 90)).all()
     where = outside(crs, positions) or (
         "within 200 m of the origin" if degrees and UTM_EPSG.fullmatch(crs) else "")
     exchanged = positions[:, [1, 0, 2]]
     if where:
-        question = (": are they degrees? Then EPSG:4326 belongs into the first line" if degrees else
-                    ": are x and y exchanged?" if not outside(crs, exchanged) else
-                    ": is it the right CRS, and are they complete?")
+        question = ("are they degrees? Then EPSG:4326 belongs into the first line" if degrees else
+                    "are x and y exchanged?" if not outside(crs, exchanged) else
+                    "is it the right CRS, and are they complete?")
         raise NotGeoreferenced(f"--gcp: the ground control points lie {where}, outside the area "
-                               f"of {crs[:60]}{question}")
-    return _Measured(
-        tuple(item.point.name for item in located), np.array([item.place for item in located]),
-        positions, (Guess(EXCHANGED, exchanged),
-                    Guess("are heights positive downwards?", positions * (1, 1, -1)),
-                    Guess("are heights in feet?", positions * (1, 1, FOOT))), crs, vertical)
+                               f"of {crs[:60]}: {question}")
+    guesses = [Guess(EXCHANGED, exchanged),
+               Guess("are heights positive downwards?", positions * (1, 1, -1)),
+               Guess("are heights in feet?", positions * (1, 1, FOOT))]
+    return _Measured([item.point.name for item in located],
+                     np.array([item.place for item in located]), positions, guesses, crs,
+                     control.vertical, is_control=True)
 
 
 def _by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: str | None
-           ) -> _Measured:
+            ) -> _Measured:
     """Positions of photos; NotGeoreferenced if they are too few, or outside the CRS."""
-    photos, centres, degrees = _gps(images, metadata)
-    if len(photos) < LEAST_POSITIONS:
-        raise NotGeoreferenced("no photo has GPS" if not photos else
-                               f"only {len(photos)} photos have GPS", expected=True)
-    known = [metadata[name] for name in photos]
+    names, centres, degrees = _gps(images, metadata)
+    if len(names) < LEAST_POSITIONS:
+        raise NotGeoreferenced("no photo has GPS" if not names else
+                               f"only {len(names)} photos have GPS", expected=True)
+    known = [metadata[name] for name in names]
     heights = np.array([photo.altitude for photo in known], np.float64)  # unknown: nan
-    latitude, longitude = np.median(degrees, axis=0)
-    if crs is None and not UTM_LATITUDES[0] <= latitude <= UTM_LATITUDES[1]:
-        raise NotGeoreferenced(
-            f"the photos' GPS is at latitude {latitude:.3f}, where UTM has no zones: are latitude "
-            "and longitude exchanged? If not, give a CRS, "
-            f'such as --crs "+proj=tmerc +lat_0={latitude:.0f} +lon_0={longitude:.0f} '
-            '+datum=WGS84"')
     vertical = ELLIPSOIDAL if all(photo.above_ellipsoid for photo in known) else SEA_LEVEL
     notes = []
     if crs and heights_of(crs).name:
@@ -243,9 +228,9 @@ def _by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: s
     std = None
     if any(photo.gps_std is not None for photo in known):
         std = np.array([photo.gps_std or 3 * (UNKNOWN_STD,) for photo in known])
-    guesses = tuple(Guess(question, map_positions(other, heights)[0])
-                    for question, other in _other_degrees(degrees))
-    return _Measured(tuple(photos), centres, positions, guesses, own, vertical, std, tuple(notes))
+    guesses = [Guess(question, map_positions(other, heights)[0])
+               for question, other in _other_degrees(degrees)]
+    return _Measured(names, centres, positions, guesses, own, vertical, std, tuple(notes))
 
 
 def _gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata]
@@ -294,7 +279,8 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:SHOWN]) + (f" and {rest} others" if rest > 0 else "")
 
 
-def _believed(measured: _Measured, known_up: Vertical, is_control: bool) -> Alignment:
+def _believed(measured: _Measured, known_up: Vertical) -> Alignment:
+    is_control = measured.is_control
     try:
         return believed(
             measured.places, measured.positions, known_up, measured.guesses, std=measured.std,
@@ -307,44 +293,36 @@ def _believed(measured: _Measured, known_up: Vertical, is_control: bool) -> Alig
         raise NotGeoreferenced(f"{kind} {error}{cure}") from None
 
 
-def _missed(measured: _Measured, result: Alignment) -> tuple[Residual, ...]:
-    away = np.round(result.similarity(measured.places) - measured.positions, 4)
-    return tuple(
-        Residual(name, CONTROL if right else LEFT_OUT, east, north,
-                 up if np.isfinite(up) else None)
-        for name, right, (east, north, up) in zip(measured.names, result.used, away.tolist())
-        if np.isfinite(east))
-
-
 def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool
                   ) -> tuple[str, tuple[float, float], list[str]]:
     """The source of a georeference by ground control points, its residuals along the ground and in
     height, which are those of the check points if there are any, and notes."""
-    parts = {role: [each for each in found if each.role == role]
-             for role in (CONTROL, CHECK, LEFT_OUT)}
-    source = f"{len(parts[CONTROL])} ground control points"
-    wrong = [each.name for each in parts[LEFT_OUT]]
-    for names, why in ((lost, "cannot be located in the photos"), (wrong, "contradict the others")):
+    rows: dict[str, list[Residual]] = {CONTROL: [], CHECK: [], LEFT_OUT: []}
+    for each in found:
+        rows[each.role].append(each)
+    source = f"{len(rows[CONTROL])} ground control points"
+    for names, why in ((lost, "cannot be located in the photos"),
+                       ([each.name for each in rows[LEFT_OUT]], "contradict the others")):
         if names:
             source += f", without {_listed(names)}, which {why}"
-    errors = {role: (_rms([(each.east, each.north) for each in rows]),
-                     _rms([(each.up,) for each in rows]), _rms([(each.pixels,) for each in rows]))
-              for role, rows in parts.items() if rows}
-    text = "residual {:.3f} m along the ground, {:.3f} m in height, {:.1f} pixels in the photos"
-    notes = [f"{'adjusted to' if adjusted else 'georeferenced by'} {source}: "
-             f"{text.format(*errors[CONTROL])}"]
-    if CHECK in errors:
-        notes.append(f"{len(parts[CHECK])} check points, which took no part: "
-                     f"{text.format(*errors[CHECK])}")
+    errors, text = _errors(rows[CONTROL])
+    notes = [f"{'adjusted to' if adjusted else 'georeferenced by'} {source}: {text}"]
+    if rows[CHECK]:
+        errors, text = _errors(rows[CHECK])
+        notes.append(f"{len(rows[CHECK])} check points, which took no part: {text}")
     elif adjusted:
         notes.append("no check points: the residual of points to which the scene was adjusted does "
                      "not show its error; leave some out with --check-point NAME")
-    return source, errors.get(CHECK, errors[CONTROL])[:2], notes
+    return source, errors, notes
 
 
-def _rms(rows: Sequence[Sequence[float | None]]) -> float:
-    """The root mean square of the lengths of vectors."""
-    return float(np.sqrt(np.mean(np.sum(np.square(np.array(rows, np.float64)), axis=1))))
+def _errors(rows: Sequence[Residual]) -> tuple[tuple[float, float], str]:
+    """Root mean squares along the ground and in height, metres, and a phrase."""
+    values = np.array([(each.east, each.north, each.up, each.pixels) for each in rows], np.float64)
+    east, north, up, pixels = np.sqrt((values**2).mean(axis=0)).tolist()
+    ground = float(np.hypot(east, north))
+    return (ground, up), (f"residual {ground:.3f} m along the ground, {up:.3f} m in height, "
+                          f"{pixels:.1f} pixels in the photos")
 
 
 def _vertical(images: Sequence[Any], points: NDArray[np.float64],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Collection
-from dataclasses import replace
 from pathlib import Path
 
 from numpy.typing import ArrayLike
@@ -55,8 +54,7 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
                 if (source / name).is_file()}
     reconstruction = read_reconstruction(model)
     try:
-        placed = place_reconstruction(reconstruction, metadata, crs=control.crs or None,
-                                      control=control.points, vertical=control.vertical, up=up)
+        placed = place_reconstruction(reconstruction, metadata, control, up=up)
     except NotGeoreferenced as error:
         cure = "" if gcp else "; give photos with GPS (--photos), or ground control points (--gcp)"
         raise InputError(f"{folder}: not georeferenced: {error}{cure}") from None
@@ -78,7 +76,7 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
                          "space, and choose another --output") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return replace(placed, notes=(*control.notes, *placed.notes))
+    return placed
 
 
 def _link(source: Path, link: Path) -> None:

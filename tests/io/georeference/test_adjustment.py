@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.georeference.adjustment import check_marks
-from clsplat.io.georeference.control_points import ControlPoint
+from clsplat.io.georeference.control_points import ControlPoint, ControlPoints
 from clsplat.io.georeference.reconstruction import place_reconstruction
 from tests.data.survey import CRS, ORIGIN
 from tests.sfm.cases import synthetic
@@ -43,8 +43,8 @@ def bent():
 def placed(points, **options):
     """What became of the bent reconstruction, and the largest error of its cameras, metres."""
     reconstruction, truth = bent(), synthetic(photos=8, points=150)
-    result = place_reconstruction(reconstruction, {}, crs=CRS, control=points, up=(0, 0, 1),
-                                  **options)
+    result = place_reconstruction(reconstruction, {}, ControlPoints(tuple(points), CRS),
+                                  up=(0, 0, 1), **options)
     away = [result.georeference.to_map(image.projection_center())
             - (ORIGIN + METRES * truth.images[number].projection_center())
             for number, image in reconstruction.images.items()]
@@ -69,7 +69,7 @@ def test_the_adjustment_takes_out_what_a_similarity_leaves():
 def test_the_focal_length_of_a_calibration_is_kept(keep):
     reconstruction = bent()
     tie_points = reconstruction.point3D_ids()
-    place_reconstruction(reconstruction, {}, crs=CRS, control=control(5), adjusts=True,
+    place_reconstruction(reconstruction, {}, ControlPoints(tuple(control(5)), CRS), adjusts=True,
                          up=(0, 0, 1), keep_focal=keep)
     assert (reconstruction.cameras[1].params[0] == 430) == keep
     assert reconstruction.point3D_ids() == tie_points  # the scene has none of the control points

@@ -99,16 +99,16 @@ NO_CRS = "is not a coordinate reference system"
 
 @pytest.mark.parametrize("text, complaint", [
     ("", "names no coordinate reference system"), ("EPSG:32614\n", "has no ground control points"),
-    ("EPSG:32614\n1 2 3 4\n", r"line 2 is not a ground control point \(it lacks pixel_y, image\)"),
-    ("EPSG:32614\n1 2 nan 4 5 a.jpg\n", "line 2 .*a number is not finite"),
-    (CSV + "p,1,2,3\n", "line 6 is not a ground control point"),
-    (b"\xff\xfe\0", "cannot be read"), ("x" * 200_000, NO_CRS),
-    ("EPSG:32614\n" + ROW.replace(".5", ",5"), "line 2 .*could not convert string to float"),
-    ("EPSG:32614\n" + ROW.replace("300", "3,0,0,0").replace(" ", ";"), "line 2 .*could not conve"),
+    ("EPSG:32614\n1 2 3 4\n", "line 2 lacks pixel_y, image"),
+    ("EPSG:32614\n1 2 nan 4 5 a.jpg\n", "z of line 2 is not a usable number"),
+    (CSV + "p,1,2,3\n", "line 6 lacks"),
+    (b"\xff\xfe\0", "not a file of ground control points"), ("x" * 200_000, NO_CRS),
+    ("EPSG:32614\n" + ROW.replace(".5", ",5"), "x of line 2 is not a number"),
+    ("EPSG:32614\n" + ROW.replace("300", "3,0,0,0").replace(" ", ";"), "z of line 2 is not a num"),
     ("IMG_1.JPG,P1,100.5,200.5,1\n", NO_CRS),  # marks of Pix4D
-    ("EPSG:32614\nP1;587000.5;3338000.25;300;0.02;0.02\n", "line 2 .*to float: 'P1'"),
+    ("EPSG:32614\nP1;587000.5;3338000.25;300;0.02;0.02\n", "x of line 2 is not a number"),
     (CSV + "north,587000.6,3338000.25,300,1,2,c.jpg\n",
-     "point north has several coordinates, 587000.5 3338000.25 300 and 587000.6 3338000.25 300;"),
+     "point north has several coordinates;"),
     ("EPSG:4326\n9.0 47.8 1 4 5 a.jpg\n9.0 478 1 4 5 a.jpg p\n",
      "point p has no coordinates in EPSG:32632; correct it"),
 ])

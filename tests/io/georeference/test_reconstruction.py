@@ -10,7 +10,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.georeference.adjustment import NotGeoreferenced
-from clsplat.io.georeference.control_points import ControlPoint
+from clsplat.io.georeference.control_points import ControlPoint, ControlPoints
 from clsplat.io.georeference.crs import normal_crs
 from clsplat.io.georeference.reconstruction import place_reconstruction, turned
 from clsplat.io.photos.metadata import PhotoMetadata
@@ -34,7 +34,7 @@ def error(survey, reconstruction, georeference):
 
 def test_gps_gives_metres_in_the_utm_zone(survey):
     reconstruction = survey.reconstruction()
-    placed = place_reconstruction(reconstruction, survey.metadata())
+    placed = place_reconstruction(reconstruction, survey.metadata(), ControlPoints())
     assert placed.georeference.crs == CRS and placed.up.tolist() == [0, 0, 1]
     assert placed.georeference.source == "GPS of 12 photos" and placed.georeference.residual < 0.01
     assert error(survey, reconstruction, placed.georeference) < 0.02
@@ -43,7 +43,8 @@ def test_gps_gives_metres_in_the_utm_zone(survey):
 
 def test_altitudes_are_not_labelled_as_heights_of_a_crs(survey):
     crs = normal_crs(f"{CRS}+5773")
-    placed = place_reconstruction(survey.reconstruction(), survey.metadata(), crs=crs)
+    placed = place_reconstruction(survey.reconstruction(), survey.metadata(),
+                                  ControlPoints(crs=crs))
     assert placed.georeference.crs == CRS and "altitudes" in placed.georeference.vertical
     assert any(note.startswith("heights are not in EGM96 height") for note in placed.notes)
 
@@ -53,24 +54,16 @@ def test_a_bad_fix_is_named(survey):
     bad = survey.names[3]
     metadata[bad] = replace(metadata[bad], latitude=metadata[bad].latitude + 0.01)
     reconstruction = survey.reconstruction()
-    placed = place_reconstruction(reconstruction, metadata)
+    placed = place_reconstruction(reconstruction, metadata, ControlPoints())
     assert placed.georeference.source == \
         f"GPS of 11 photos, without {bad}, whose positions are wrong"
     assert error(survey, reconstruction, placed.georeference) < 0.05
 
 
-def test_altitudes_below_every_land_are_noted(survey):
-    metadata = {name: replace(known, altitude=known.altitude - 400)
-                for name, known in survey.metadata().items()}
-    placed = place_reconstruction(survey.reconstruction(), metadata)
-    assert "ground lies at -89 m" in placed.warnings[-1] and "--gcp" in placed.warnings[-1]
-    assert placed.georeference.warnings == placed.warnings
-
-
 def test_without_altitudes_the_cameras_level_the_scene(survey):
     metadata = {name: replace(known, altitude=None) for name, known in survey.metadata().items()}
     reconstruction = survey.reconstruction()
-    placed = place_reconstruction(reconstruction, metadata)
+    placed = place_reconstruction(reconstruction, metadata, ControlPoints())
     assert placed.notes[1] == "heights do not show which way is up; the cameras do"
     ground = np.array([point.xyz for point in reconstruction.points3D.values()])
     assert np.ptp(np.quantile(ground[:, 2], (0.05, 0.95))) < 15 < np.ptp(ground[:, 0])
@@ -81,7 +74,7 @@ def test_without_gps_the_scene_is_turned_as_viewers_expect(survey):
     for known, why in (({}, "no photo has GPS"), (metadata, "only 2 photos have GPS")):
         reconstruction = survey.reconstruction()
         with pytest.raises(NotGeoreferenced) as caught:
-            place_reconstruction(reconstruction, known)
+            place_reconstruction(reconstruction, known, ControlPoints())
         placed = turned(reconstruction, known, caught.value)
         assert placed.georeference is None and not placed.warnings
         assert placed.notes == (f"not georeferenced: {why}",)
@@ -121,11 +114,17 @@ def best_seen(survey, count):
     return sorted(range(20, 200), key=lambda index: -len(list(survey.marks(index))))[:count]
 
 
-def test_control_points_give_the_place_without_gps(survey):
+@pytest.mark.parametrize("marks", [(("nowhere.jpg", 1.0, 1.0),), None])
+def test_control_points_give_the_place_without_gps(survey, marks):
+    """One cannot be located, as its photo is missing or its rays do not meet; and a mark of another
+    is wrong."""
     reconstruction = survey.reconstruction()
     points = control(survey, best_seen(survey, 5))
-    unseen = ControlPoint("lost", (0.0, 0.0, 0.0), (("nowhere.jpg", 1.0, 1.0),))
-    placed = place_reconstruction(reconstruction, {}, crs=CRS, control=[*points, unseen])
+    lost = ControlPoint("lost", (0.0, 0.0, 0.0), marks or (
+        points[0].marks[0], (points[0].marks[1][0], 1.0, 1.0)))
+    (name, x, y), *others = points[0].marks
+    points[0] = replace(points[0], marks=((name, 64 * (x < 32), 48 * (y < 24)), *others))
+    placed = place_reconstruction(reconstruction, {}, ControlPoints((*points, lost), CRS))
     assert placed.georeference.source.startswith("5 ground control points, without lost, which")
     assert error(survey, reconstruction, placed.georeference) < 0.05
 
@@ -134,4 +133,4 @@ def test_marks_in_the_pixels_of_larger_photos_are_refused(survey):
     points = [replace(point, marks=tuple((name, 4 * x, 4 * y) for name, x, y in point.marks))
               for point in control(survey, best_seen(survey, 5))]
     with pytest.raises(InputError, match="in the pixels of the photos that were reconstructed"):
-        place_reconstruction(survey.reconstruction(), {}, crs=CRS, control=points)
+        place_reconstruction(survey.reconstruction(), {}, ControlPoints(tuple(points), CRS))
