@@ -27,6 +27,7 @@ from clsplat.io.georeference.crs import (
     map_positions,
     normal_crs,
     on_ground,
+    pyproj_crs,
 )
 from clsplat.io.reason import clean
 from clsplat.io.regular import read_regular
@@ -180,7 +181,7 @@ def _in_metres(path: Path, places: NDArray[np.float64], own: str, crs: str | Non
         notes.append(f"heights of {path} count from {heights.name or 'what it does not state'}, so "
                      f"they are not labelled as {heights_of(crs).name}; heights are not converted")
         crs = horizontal(crs)
-    if crs is None and not has_metres(own, str(path)):
+    if crs is None and not has_metres(pyproj_crs(own, str(path))):
         degrees = on_ground(flat, WGS84, metres)
         return *map_positions(degrees[:, 1::-1], degrees[:, 2]), heights.name, (*notes,)
     # compound only if heights are in that unit

@@ -5,7 +5,6 @@ Only this module uses pyproj, which takes a tenth of a second to import and is s
 
 from __future__ import annotations
 
-import logging
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -46,22 +45,16 @@ def normal_crs(text: str, name: str = "--crs") -> str:
                          f"the northern or the southern hemisphere, such as WGS84 UTM {words[1]}N")
     if words:
         return f"EPSG:32{'6' if words[2] in 'nN' else '7'}{int(words[1]):02d}"
-    system = pyproj_crs(text, name)
-    code = system.to_authority(min_confidence=70)
-    return ":".join(code) if code else " ".join(system.to_wkt().split())
+    return _name(pyproj_crs(text, name))
 
 
-def has_metres(crs: str, name: str = "--crs") -> bool:
-    """Whether a CRS, as `normal_crs` returns it, is projected, with metres of the ground to the
-    east and north, in whatever order."""
-    return _has_metres(pyproj_crs(crs, name))
-
-
-def _has_metres(system: Any) -> bool:
+def has_metres(system: Any) -> bool:
+    """Whether a pyproj.CRS is projected, with metres of the ground to the east and north, in
+    whatever order."""
     axes = {(axis.direction, axis.unit_conversion_factor) for axis in system.axis_info[:2]}
     if not system.is_projected or axes != {("east", 1.0), ("north", 1.0)}:
         return False  # pyproj's `always_xy` brings others to east, north, but not west to east
-    operation = (system.sub_crs_list[0] if system.is_compound else system).coordinate_operation
+    operation = _flat(system).coordinate_operation
     return operation is None or operation.method_code != WEB_MERCATOR
 
 
@@ -69,7 +62,7 @@ def scene_crs(text: str) -> str:
     """`normal_crs` of the option --crs; InputError unless it is projected, with metres of the
     ground to the east and north."""
     crs = normal_crs(text)
-    if not has_metres(crs):
+    if not has_metres(pyproj_crs(crs, "--crs")):
         raise InputError(f"--crs {_shown(text)}: is not a projected coordinate reference system in "
                          "metres of the ground (as Web Mercator's are not); give one such as "
                          "EPSG:32632, which is UTM zone 32 north")
@@ -85,19 +78,18 @@ def project_crs(definition: str, north_first: bool = False) -> str:
     north_first : whether it may also be a CRS that has the north first, as is right where pyproj
         converts the coordinates, and wrong where they are taken as the project has them.
     """
-    if not 0 < len(definition) <= LONGEST_DEFINITION or "\0" in definition:
-        return ""
-    pyproj = _pyproj()
-    logging.getLogger("pyproj").addHandler(logging.NullHandler())
     try:
-        crs = pyproj.CRS.from_user_input(definition)
-        crs = crs.sub_crs_list[0] if crs.is_compound else crs
-        if not _has_metres(crs) or not (north_first or crs.axis_info[0].direction == "east"):
-            return ""
-        authority = crs.to_authority()
-        return ":".join(authority) if authority else str(crs.to_wkt("WKT2_2019"))
-    except (pyproj.exceptions.CRSError, ValueError, IndexError, TypeError):
-        return ""
+        system = _flat(pyproj_crs(definition[:LONGEST_DEFINITION], "the project"))
+        if has_metres(system) and (north_first or system.axis_info[0].direction == "east"):
+            return _name(system)
+    except InputError:
+        pass
+    return ""
+
+
+def _name(system: Any) -> str:
+    code = system.to_authority(min_confidence=70)
+    return ":".join(code) if code else " ".join(system.to_wkt().split())
 
 
 def is_local(definition: str) -> bool:
@@ -111,21 +103,23 @@ def utm_zone(longitude: float, latitude: float) -> str:
     return f"EPSG:{(32600 if latitude >= 0 else 32700) + zone}"
 
 
-def converter(source: str, target: str, why: str = "CRS") -> Conversion:
+def conversion(source: str, target: str, why: str = "CRS", partial: bool = False) -> Conversion:
     """A function that converts points [N, 2] or [N, 3] of one CRS to another, east or longitude
-    first. What has no coordinates in the target becomes nan.
+    first.
 
     Parameters
     ----------
     source, target : as pyproj accepts them, such as "EPSG:32614". Heights are above the ellipsoid
         where a CRS has none of its own.
     why : what needs it, for messages.
+    partial : whether a point without coordinates in the target becomes nan, not an InputError.
     """
-    pyproj = _pyproj()
+    import pyproj
+
     try:
-        systems = [pyproj.CRS.from_user_input(crs) for crs in (source, target)]
-        flat = pyproj.Transformer.from_crs(*systems, always_xy=True)
-        upright = pyproj.Transformer.from_crs(*(crs.to_3d() for crs in systems), always_xy=True)
+        first, second = (pyproj.CRS.from_user_input(crs) for crs in (source, target))
+        flat = pyproj.Transformer.from_crs(first, second, always_xy=True)
+        upright = pyproj.Transformer.from_crs(first.to_3d(), second.to_3d(), always_xy=True)
     except pyproj.exceptions.ProjError as error:
         raise InputError(f"{why}: coordinates in {_shown(source)} cannot be converted to "
                          f"{_shown(target)} ({reason(error)}); name another CRS") from None
@@ -134,23 +128,13 @@ def converter(source: str, target: str, why: str = "CRS") -> Conversion:
         values = np.asarray(points, np.float64)
         used = flat if values.shape[1] == 2 else upright
         result = np.stack(used.transform(*values.T), axis=1)
-        result[~np.isfinite(result).all(axis=1)] = np.nan
-        return result
-    return convert
-
-
-def conversion(source: str, target: str, why: str) -> Conversion:
-    """As `converter`, but the function raises InputError where a point has no coordinates in the
-    target."""
-    convert = converter(source, target, why)
-
-    def convert_all(points: ArrayLike) -> NDArray[np.float64]:
-        result = convert(points)
-        if not np.isfinite(result).all():
+        lost = ~np.isfinite(result).all(axis=1)
+        if lost.any() and not partial:
             raise InputError(f"{why}: some places in {_shown(source)} have no coordinates in "
                              f"{_shown(target)}; check which CRS they are in")
+        result[lost] = np.nan
         return result
-    return convert_all
+    return convert
 
 
 def on_ground(source: str, target: str, points: ArrayLike) -> NDArray[np.float64]:
@@ -158,7 +142,8 @@ def on_ground(source: str, target: str, points: ArrayLike) -> NDArray[np.float64
     they are; nan for what the target cannot represent."""
     result = np.array(points, np.float64).reshape(-1, 3)
     if source != target:
-        result[:, :2] = converter(source, target, f"CRS {_shown(target)}")(result[:, :2])
+        convert = conversion(source, target, f"CRS {_shown(target)}", partial=True)
+        result[:, :2] = convert(result[:, :2])
     return result
 
 
@@ -199,7 +184,7 @@ def outside(crs: str, points: ArrayLike) -> str:
     projected CRS is used; "" if it is inside, or if the CRS has no such area."""
     east, north = np.median(np.asarray(points, np.float64)[:, :2], axis=0)
     where = f"at east {east:.0f}, north {north:.0f}"
-    ((longitude, latitude),) = converter(horizontal(crs), WGS84)([(east, north)])
+    ((longitude, latitude, _),) = on_ground(horizontal(crs), WGS84, (east, north, 0.0))
     area = pyproj_crs(crs, "CRS").area_of_use
     if not np.isfinite(latitude):
         return where
@@ -216,7 +201,7 @@ def horizontal(crs: str) -> str:
     """The horizontal part of a compound CRS, as `normal_crs` returns it; others as they are."""
     system = pyproj_crs(crs, "CRS")
     flat = _flat(system)
-    return normal_crs(flat.to_wkt()) if flat != system else crs
+    return _name(flat) if flat != system else crs
 
 
 def _flat(system: Any) -> Any:
@@ -252,20 +237,14 @@ def _heights(system: Any) -> Heights:
 def pyproj_crs(text: str, name: str) -> Any:
     """The pyproj.CRS of a text; InputError, with this name of the option or file, if there is none.
     """
-    pyproj = _pyproj()
+    import pyproj
+
     try:
         return pyproj.CRS.from_user_input(text)
-    except pyproj.exceptions.CRSError:
+    except (pyproj.exceptions.CRSError, ValueError):  # ValueError: it has a byte 0
         raise InputError(f"{name} {_shown(text)}: is not a coordinate reference system; give one "
                          "such as EPSG:25832") from None
 
 
 def _shown(crs: str) -> str:
     return clean(crs)[:SHOWN]
-
-
-def _pyproj() -> Any:
-    """The library, without its types: they leave out what it accepts."""
-    import pyproj
-
-    return pyproj

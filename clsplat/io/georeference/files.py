@@ -8,20 +8,17 @@ both are in original coordinates.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsplat.camera import Camera
-from clsplat.errors import InputError
 from clsplat.georeference import CHECK, CONTROL, LEFT_OUT, Georeference, Residual
-from clsplat.io.fields import number, numbers, pixels, table, tables
-from clsplat.io.reason import reason
+from clsplat.io.fields import number, numbers, pixels, reading, table, tables, text
 from clsplat.io.records import object_of, write_object
 from clsplat.io.regular import read_regular
 from clsplat.scene import Scene
@@ -30,7 +27,7 @@ GEOREFERENCE, ORIENTATION = "georeference.json", "orientation.json"
 CRS_COMMENT, OFFSET_COMMENT = "crs ", "map_offset "
 UP_COMMENT, AXIS_COMMENT = "up ", "Vertical Axis: "
 ALONG_AXIS = 0.99  # cosine: about 8 degrees from an axis, which nerfstudio and Brush write, too
-LONGEST_CRS = 10_000  # characters; WKT2 of compound systems has about 3000
+T = TypeVar("T")
 
 
 def write_georeference(folder: str | Path, georeference: Georeference | None) -> None:
@@ -44,9 +41,16 @@ def write_georeference(folder: str | Path, georeference: Georeference | None) ->
 
 def read_georeference(folder: str | Path) -> Georeference | None:
     """Read georeference.json of a folder; None if it has none, InputError if it is damaged."""
-    with _damage(Path(folder) / GEOREFERENCE) as path:
-        record = _object(path)
-        return None if record is None else georeference_of(record)
+    return _read(Path(folder) / GEOREFERENCE, georeference_of)
+
+
+def _read(path: Path, parsed: Callable[[dict[str, Any]], T]) -> T | None:
+    """What a function makes of the record in a file; None without the file."""
+    if not path.exists():
+        return None
+    with reading(path, "a record of clsplat", "correct the file, or remove it and georeference the "
+                 "scene again"):
+        return parsed(object_of(read_regular(path)))
 
 
 def georeference_record(known: Georeference) -> dict[str, Any]:
@@ -61,35 +65,27 @@ def georeference_record(known: Georeference) -> dict[str, Any]:
 def georeference_of(record: dict[str, Any]) -> Georeference:
     """The georeference of a record of JSON; ValueError names the fault. Records of older
     versions lack most keys."""
-    crs = _text(record.get("crs"), "crs")
-    if not (crs.strip() and crs.isprintable()):
-        raise ValueError("crs is not a line of text")
+    crs = text(record.get("crs"), "crs")
+    if not crs.strip():
+        raise ValueError("crs is empty")
     east, north, height = numbers(record.get("offset"), 3, "offset").tolist()
     warnings = record.get("warnings", [])
     if not isinstance(warnings, list):
         raise ValueError("warnings are not a list of texts")
-    distances = [number(record.get(key, 0.0), key) for key in ("residual", "size")]
-    if min(distances) < 0:
-        raise ValueError("a distance is negative")
-    source, kind, vertical = (_text(record.get(key, ""), key)
+    source, kind, vertical = (text(record.get(key, ""), key)
                               for key in ("source", "kind", "vertical"))
+    residual, size = (number(record.get(key, 0.0), key) for key in ("residual", "size"))
     return Georeference(
-        crs, (east, north, height), source, distances[0], kind, distances[1], vertical,
+        crs, (east, north, height), source, residual, kind, size, vertical,
         tuple(map(_residual, tables(record.get("residuals", []), "residuals"))),
-        tuple(_text(each, "a warning") for each in warnings))
+        tuple(text(each, "a warning") for each in warnings))
 
 
 def _residual(row: dict[str, Any]) -> Residual:
     up, pixel = (None if row.get(key) is None else number(row[key], key)
                  for key in ("up", "pixels"))
-    return Residual(_text(row.get("name", ""), "name"), _text(row.get("role", ""), "role"),
+    return Residual(text(row.get("name", ""), "name"), text(row.get("role", ""), "role"),
                     number(row.get("east"), "east"), number(row.get("north"), "north"), up, pixel)
-
-
-def _text(value: Any, key: str) -> str:
-    if not isinstance(value, str) or len(value) > LONGEST_CRS:
-        raise ValueError(f"{key} is not a text")
-    return value
 
 
 def write_orientation(folder: str | Path, up: ArrayLike, first_view: Camera | None = None) -> None:
@@ -113,20 +109,19 @@ def write_orientation(folder: str | Path, up: ArrayLike, first_view: Camera | No
 def read_orientation(folder: str | Path) -> tuple[NDArray[np.float64], Camera | None] | None:
     """Read orientation.json of a folder: the unit vector that points up and the first view, if it
     is recorded, in original coordinates; None if there is no such file."""
-    with _damage(Path(folder) / ORIENTATION) as path:
-        record = _object(path)
-        if record is None:
-            return None
-        up = _unit(numbers(record.get("up"), 3, "up"))
-        if up is None:
-            raise ValueError("up has no direction")
+    def parsed(record: dict[str, Any]) -> tuple[NDArray[np.float64], Camera | None]:
         view = record.get("first_view")
-        return up, None if view is None else _camera(view)
+        return (_unit(numbers(record.get("up"), 3, "up")),
+                None if view is None else _camera(table(view, "first_view")))
+
+    return _read(Path(folder) / ORIENTATION, parsed)
 
 
-def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     length = float(np.linalg.norm(vector))
-    return vector / length if vector.shape == (3,) and 0 < length < math.inf else None
+    if not 0 < length < math.inf:
+        raise ValueError("up has no direction")
+    return vector / length
 
 
 def write_placement(folder: str | Path, scene: Scene, first_view: bool = False) -> None:
@@ -173,7 +168,7 @@ def commented_georeference(comments: Iterable[str]) -> Georeference | None:
     try:
         return georeference_of({
             "crs": texts[CRS_COMMENT].encode("ascii").decode("unicode_escape"),
-            "offset": [float(value) for value in texts[OFFSET_COMMENT].split()[:3]],
+            "offset": " ".join(texts[OFFSET_COMMENT].split()[:3]),
             "source": "comments of the model's file"})
     except ValueError:
         return None
@@ -184,42 +179,18 @@ def commented_up(comments: Iterable[str]) -> NDArray[np.float64] | None:
     for comment in comments:
         if comment.startswith(UP_COMMENT):
             try:
-                up = _unit(np.array([float(value) for value in comment.split()[1:4]]))
+                return _unit(numbers(" ".join(comment.split()[1:4]), 3, "up"))
             except ValueError:
                 continue
-            if up is not None:
-                return up
     return None
 
 
-@contextmanager
-def _damage(path: Path) -> Iterator[Path]:
-    """Makes what is wrong in a file one line."""
-    try:
-        yield path
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: damaged ({reason(error)}); correct the file, or remove it and "
-                         "georeference the scene again") from None
-
-
-def _object(path: Path) -> dict[str, Any] | None:
-    try:
-        return object_of(read_regular(path))
-    except FileNotFoundError:
-        return None
-
-
-def _camera(record: Any) -> Camera:
-    """The camera of a record; ValueError names the fault."""
-    record = table(record, "first_view")
+def _camera(record: dict[str, Any]) -> Camera:
     width, height = (pixels(record.get(key), key) for key in ("width", "height"))
     (fx, fy), (cx, cy) = (numbers(record.get(key), 2, key).tolist() for key in ("focal", "centre"))
-    rows = record.get("rotation")
-    if not (isinstance(rows, list) and len(rows) == 3):
-        raise ValueError("rotation is not 3 x 3 numbers")
-    rotation = np.array([numbers(row, 3, "rotation") for row in rows])
-    if not (fx > 0 and fy > 0 and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
-            and np.linalg.det(rotation) > 0):
+    rotation = np.array([numbers(row, 3, "rotation") for row in record.get("rotation") or ()])
+    if not (fx > 0 and fy > 0 and rotation.shape == (3, 3) and np.linalg.det(rotation) > 0
+            and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3):
         raise ValueError("first_view is not a camera")
     return Camera(width, height, (fx, fy), (cx, cy), rotation,
                   numbers(record.get("translation"), 3, "translation"))

@@ -20,7 +20,7 @@ from clsplat.io.fields import CONTROL
 from clsplat.io.georeference.crs import (
     GEOCENTRIC,
     GEODETIC,
-    converter,
+    conversion,
     project_crs,
     utm_zone,
 )
@@ -186,7 +186,7 @@ def _on_map(path: Path, photos: Sequence[PosedPhoto], points: Cloud | None, plac
 
 def topocentric(latitude: float, longitude: float, height: float) -> Similarity:
     """From east, north and up in metres at a place (degrees, metres) to geocentric coordinates."""
-    (centre,) = converter(GEODETIC, GEOCENTRIC)([(longitude, latitude, height)])
+    (centre,) = conversion(GEODETIC, GEOCENTRIC)([(longitude, latitude, height)])
     (sin_lat, sin_lon), (cos_lat, cos_lon) = (
         function(np.radians([latitude, longitude])) for function in (np.sin, np.cos))
     axes = np.array([[-sin_lon, -sin_lat * cos_lon, cos_lat * cos_lon],
@@ -217,12 +217,12 @@ def on_map(to_earth: Similarity, centres: NDArray[np.float64], crs: str, source:
     are not near the earth's surface, or outside of the map.
     """
     middle = np.median(centres, axis=0)
-    geodetic = converter(GEOCENTRIC, GEODETIC)
+    geodetic = conversion(GEOCENTRIC, GEODETIC, partial=True)
     (place,) = geodetic(to_earth(middle[None]))
     if not (np.isfinite(place).all() and abs(place[2]) < 1e5):
         raise ValueError("its cameras are not near the earth's surface")
     crs = crs or utm_zone(place[0], place[1])
-    projected = converter(GEODETIC, crs)
+    projected = conversion(GEODETIC, crs, partial=True)
 
     def to_map(points: NDArray[np.float64]) -> NDArray[np.float64]:
         return projected(geodetic(to_earth(points)))
