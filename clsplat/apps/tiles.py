@@ -12,8 +12,7 @@ The content is compressed as SPZ, which CesiumJS needs to draw splats.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from clsplat.apps.models import turned_up
 from clsplat.edit.decimate import decimated
-from clsplat.edit.select import halves, merged, selected
+from clsplat.edit.select import mean_sigma, merged, parted, selected
 from clsplat.edit.transform import half_axes
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
@@ -30,10 +29,11 @@ from clsplat.georeference import Georeference
 from clsplat.io.folders import new_folder
 from clsplat.io.georeference.crs import conversion
 from clsplat.io.models.gltf import COMPRESSION, EXTENSION, write_spz_glb
-from clsplat.io.models.values import mode_comment, opacities
+from clsplat.io.models.values import mode_comment
 from clsplat.io.records import write_object
 
 TILE_GAUSSIANS = 20_000  # of a tile at most: 5 MB with harmonics of degree 3
+ROUNDS = 3  # of halving, after which a tile has eight children
 REACH = 3.0  # standard deviations of a gaussian that count for the box around it
 # a viewer refines a tile if its geometric error covers 16 pixels (Cesium's default); a level is
 # enough while its mean sigma covers 2 pixels
@@ -42,103 +42,78 @@ TILESET, CONTENT = "tileset.json", "tiles"
 Z_UP = np.array([0.0, 0.0, 1.0])
 ECEF = "EPSG:4978"
 BASELINE = 100.0  # metres, along which the axes of a CRS are measured on the earth
-
-
-@dataclass(eq=False)
-class Tile:
-    """A node of the tree.
-
-    Attributes
-    ----------
-    name : its path from the root, a digit a level.
-    gaussians : its content, upright.
-    low, high : float64[3], the box around its content and that of its children.
-    error : its geometric error, world units; 0 for a leaf.
-    """
-
-    name: str
-    gaussians: Gaussians
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    error: float = 0.0
-    children: list[Tile] = field(default_factory=list)
-
-    @property
-    def uri(self) -> str:
-        """The place of its content beside tileset.json."""
-        return f"{CONTENT}/{self.name}.glb"
-
-    def all(self) -> Iterator[Tile]:
-        """The tile and all below it."""
-        yield self
-        for child in self.children:
-            yield from child.all()
-
-
-def tile_tree(gaussians: Gaussians, limit: int = TILE_GAUSSIANS) -> Tile:
-    """Cut a model, which stands upright and is not empty, into a tree of tiles of at most `limit`
-    gaussians."""
-    positions = gaussians.positions.astype(np.float64)
-
-    def build(name: str, rows: NDArray[np.intp]) -> Tile:
-        if len(rows) <= limit:
-            content = selected(gaussians, rows)
-            return Tile(name, content, *_box(content))
-        parts = [rows]
-        for _ in range(3):  # into two to eight
-            parts = [half for part in parts for half in (
-                halves(positions, part) if len(part) > limit else (part,))]
-        children = [build(f"{name}{number}", part) for number, part in enumerate(parts)]
-        content = decimated(merged([child.gaussians for child in children]), limit)
-        low, high = _box(content)
-        return Tile(name, content, np.min([low, *(child.low for child in children)], axis=0),
-                    np.max([high, *(child.high for child in children)], axis=0),
-                    max(ERROR_OF_SIGMA * _mean_sigma(content),
-                        *(child.error for child in children)), children)
-
-    return build("0", np.arange(gaussians.count))
+Corners = tuple[NDArray[np.float64], NDArray[np.float64]]  # the lowest and the highest, [3] each
 
 
 def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians,
-                    progress: Callable[[int, int], object] | None = None) -> Tile:
+                    progress: Callable[[int, int], object]) -> int:
     """Write the finished model of a run, or some of its gaussians, as 3D Tiles into a new or empty
-    folder, which appears as a whole; `progress` as for `write_tiles`."""
+    folder, which appears as a whole; otherwise as `write_tiles`."""
     with new_folder(folder) as partial:
-        tree = tile_tree(turned_up(gaussians, run.up, Z_UP))
-        write_tiles(partial, tree, run.georeference, progress,
-                    (mode_comment(run.options.antialiased),))
-    return tree
+        return write_tiles(partial, turned_up(gaussians, run.up, Z_UP), run.georeference,
+                           (mode_comment(run.options.antialiased),), progress=progress)
 
 
-def write_tiles(folder: Path, tree: Tile, georeference: Georeference | None = None,
-                progress: Callable[[int, int], object] | None = None,
-                comments: Sequence[str] = ()) -> None:
-    """Write a tree as tileset.json and a glTF file for each tile into an existing folder.
+def write_tiles(folder: Path, gaussians: Gaussians, georeference: Georeference | None = None,
+                comments: Sequence[str] = (), limit: int = TILE_GAUSSIANS,
+                progress: Callable[[int, int], object] = lambda *_: None) -> int:
+    """Write tileset.json and a glTF file for each tile into an existing folder.
 
     Parameters
     ----------
-    tree : from `tile_tree`; its contents have one offset.
+    gaussians : the model, upright and not empty.
     georeference : of its original coordinates; None: the tileset has those of the scene.
-    progress : called with the number of tiles that are written, and of all.
     comments : lines of text for the files of the tiles.
+    limit : gaussians of a tile at most.
+    progress : called with the number of gaussians in finished leaves, and of all.
+
+    Returns
+    -------
+    How many tiles there are.
     """
     (folder / CONTENT).mkdir()
-    tiles = list(tree.all())
-    for number, tile in enumerate(tiles, 1):
-        write_spz_glb(folder / tile.uri, tile.gaussians, comments)
-        if progress:
-            progress(number, len(tiles))
+    positions = gaussians.positions.astype(np.float64)
+    done = tiles = 0
+
+    def write(name: str, rows: NDArray[np.intp]) -> tuple[Gaussians, Corners, dict[str, Any]]:
+        """Write a tile, named by its path from the root, and those below it; returns its content,
+        the box around all of them, and its record."""
+        nonlocal done, tiles
+        below = [] if len(rows) <= limit else [
+            write(f"{name}{number}", part)
+            for number, part in enumerate(parted(positions, rows, limit, ROUNDS))]
+        records = [record for *_, record in below]
+        if below:
+            content = decimated(merged([child for child, *_ in below]), limit)
+            error = max(ERROR_OF_SIGMA * mean_sigma(content),
+                        *(record["geometricError"] for record in records))
+        else:
+            content, error = selected(gaussians, rows), 0.0
+            done += len(rows)
+        low, high = _corners(content)
+        for _, (least, most), _ in below:
+            low, high = np.minimum(low, least), np.maximum(high, most)
+        uri = f"{CONTENT}/{name}.glb"
+        write_spz_glb(folder / uri, content, comments)
+        tiles += 1
+        progress(done, gaussians.count)
+        box = [*((low + high) / 2).tolist(), *np.diag((high - low) / 2).ravel().tolist()]
+        return content, (low, high), {
+            "boundingVolume": {"box": box}, "geometricError": error, "content": {"uri": uri},
+            **({"children": records} if records else {})}
+
+    _, (low, high), root = write("0", np.arange(gaussians.count))
     used = [EXTENSION, COMPRESSION]
-    transform = placement(tree.gaussians.offset, georeference)
+    transform = placement(gaussians.offset, georeference)
     write_object(folder / TILESET, {
         "asset": {"version": "1.1", "generator": "clsplat"},
         "extensionsUsed": ["3DTILES_content_gltf"],
         # Cesium decides by this how to load the content
         "extensions": {"3DTILES_content_gltf": {"extensionsUsed": used,
                                                 "extensionsRequired": used}},
-        "geometricError": float(np.linalg.norm(tree.high - tree.low)),
-        "root": {"transform": transform.T.ravel().tolist(), "refine": "REPLACE",
-                 **_record(tree)}})
+        "geometricError": float(np.linalg.norm(high - low)),
+        "root": {"transform": transform.T.ravel().tolist(), "refine": "REPLACE", **root}})
+    return tiles
 
 
 def placement(offset: NDArray[np.float64], georeference: Georeference | None
@@ -161,26 +136,8 @@ def placement(offset: NDArray[np.float64], georeference: Georeference | None
     return matrix
 
 
-def _record(tile: Tile) -> dict[str, Any]:
-    """A tile and those below it as JSON."""
-    centre, half = (tile.low + tile.high) / 2, np.diag((tile.high - tile.low) / 2)
-    record: dict[str, Any] = {
-        "boundingVolume": {"box": [*centre.tolist(), *half.ravel().tolist()]},
-        "geometricError": tile.error, "content": {"uri": tile.uri}}
-    if tile.children:
-        record["children"] = [_record(child) for child in tile.children]
-    return record
-
-
-def _box(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners [3] of the box around gaussians, to REACH times their standard deviations."""
+def _corners(gaussians: Gaussians) -> Corners:
+    """The corners [3] of the box around gaussians, to REACH times their standard deviations."""
     reach = REACH * np.linalg.norm(half_axes(gaussians), axis=2)
     positions = gaussians.positions.astype(np.float64)
     return (positions - reach).min(axis=0), (positions + reach).max(axis=0)
-
-
-def _mean_sigma(gaussians: Gaussians) -> float:
-    """Mean standard deviation weighted by opacity, world units."""
-    opacity = opacities(gaussians)
-    sigma = np.exp(gaussians.log_scales.astype(np.float64)).mean(axis=1)
-    return float(opacity @ sigma / max(opacity.sum(), np.finfo(float).tiny))

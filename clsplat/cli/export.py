@@ -73,13 +73,12 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
         progress.phase(f"writing {output}")
         part = selected(gaussians, keep).with_sh_degree(degree)
         if is_folder:
-            tree = write_run_tiles(output, opened, part, partial(progress.count, "tile"))
+            tiles = write_run_tiles(output, opened, part, partial(progress.count, "gaussian"))
         elif is_page:
             write_run_page(output, opened, part, photos)
         else:
             write_run_model(output, opened, part, upright)
     if is_folder:
-        tiles = sum(1 for _ in tree.all())
         click.echo(f"{output}/tileset.json: {tiles:,} {'tile' if tiles == 1 else 'tiles'}")
     left_out = "".join(f"; left out as {what}: {count:,}" for what, count in (
         ("invisible", len(keep) - visible),

@@ -10,10 +10,8 @@ import click
 from clsplat.cli.flags import (
     FiniteRange,
     check_free,
-    check_streaming,
     device_flag,
     everything_flag,
-    lod_flag,
     moved_scene_flag,
     size_type,
     streaming_flags,
@@ -42,15 +40,12 @@ USUAL, USUAL_GIF = ((1280, 720), 30.0), ((480, 270), 10.0)  # size and frames a 
               "that of the photos or of the camera path.")
 @everything_flag
 @click.option("--overwrite", is_flag=True, help="Replace an existing film.")
-@lod_flag
 @streaming_flags
 @moved_scene_flag
 @device_flag
-@click.pass_context
-def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: float,
-         fps: float | None, size: tuple[int, int] | None, fov: float | None, everything: bool,
-         overwrite: bool, lod: bool, lod_bias: float, host_memory: float, scene: Path | None,
-         device: str) -> None:
+def film(run: Path, output: Path, route: str, seconds: float, fps: float | None,
+         size: tuple[int, int] | None, fov: float | None, everything: bool, overwrite: bool,
+         lod: bool, host_memory: float | None, scene: Path | None, device: str) -> None:
     """Draw a flight through RUN as a film."""
     from dataclasses import replace
 
@@ -76,7 +71,6 @@ def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: fl
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run, streaming_of
-    check_streaming(ctx, lod)
     as_film = output.suffix.lower() in SUFFIXES
     if not as_film and output.suffix:
         raise InputError(f"{output}: unknown suffix '{output.suffix}'; known: "
@@ -106,7 +100,7 @@ def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: fl
     with Progress() as progress:
         progress.phase("opening the device")
         pictures = frames(opened, data, cameras, choose_device(device),
-                          streaming_of(opened, lod, lod_bias, host_memory), everything)
+                          streaming_of(opened, lod, host_memory), everything)
 
         def shown(number: int) -> None:
             progress.count("frame", number, count)

@@ -299,11 +299,6 @@ everything_flag = click.option("--everything", is_flag=True, help="Keep gaussian
                                "fewer than two photos show, which a page and a film leave out.")
 
 
-lod_flag = click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of "
-                        "detail, and read only what a picture needs; needs a city with a tree "
-                        "(`clsplat merge --tree`).")
-
-
 def size_type(most: int) -> Parsed:
     """The type of a flag that takes a width and a height in pixels, at most `most` each."""
     def size_of(text: str) -> tuple[int, int]:
@@ -331,23 +326,13 @@ def bytes_of(text: str) -> float:
 
 def streaming_flags(command: Command) -> Command:
     """Add the flags of commands that draw the tree of a city."""
-    for decorate in (
-            click.option("--host-memory", type=Parsed("SIZE", bytes_of), default="1GiB",
-                         show_default=True, help="With --lod, for a city with a tree: host memory "
-                         "for the gaussians that are read, such as 512MiB."),
-            click.option("--lod-bias", type=FiniteRange(0, 1e6, min_open=True), default=1.0,
-                         show_default=True, help="With --lod: multiply distances by this when "
-                         "choosing the levels; more than 1 is coarser.")):
-        command = decorate(command)
-    return command
-
-
-def check_streaming(ctx: click.Context, lod: bool) -> None:
-    """InputError where a flag of `streaming_flags` was given without --lod."""
-    for name in ("lod_bias", "host_memory"):
-        if not lod and ctx.get_parameter_source(name) is not ParameterSource.DEFAULT:
-            flag = "--" + name.replace("_", "-")
-            raise InputError(f"{flag}: has no effect without --lod; add --lod, or leave this out")
+    host_memory = click.option(
+        "--host-memory", type=Parsed("SIZE", bytes_of), help="Host memory for what is drawn of a "
+        "city with a tree, such as 512MiB. Default: 1GiB.")
+    lod = click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of "
+                       "detail, and read only what a picture needs; needs a city with a tree "
+                       "(`clsplat merge --tree`).")
+    return lod(host_memory(command))
 
 
 def check_free(output: Path, overwrite: bool) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import check_streaming, device_flag, lod_flag, streaming_flags
+from clsplat.cli.flags import device_flag, streaming_flags
 from clsplat.errors import InputError
 
 
@@ -19,12 +19,10 @@ from clsplat.errors import InputError
 @click.option("--views", type=click.Choice(("all", "test", "train")), default="all",
               show_default=True, help="Which views of the scene to render.")
 @click.option("--beside", is_flag=True, help="Put each render beside its photo.")
-@lod_flag
 @streaming_flags
 @device_flag
-@click.pass_context
-def render(ctx: click.Context, /, model: Path, scene: Path | None, output: Path, views: str,
-           beside: bool, lod: bool, lod_bias: float, host_memory: float, device: str) -> None:
+def render(model: Path, scene: Path | None, output: Path, views: str, beside: bool, lod: bool,
+           host_memory: float | None, device: str) -> None:
     """Render a run, or a file of gaussians, from the cameras of a scene.
 
     A city that was merged with --tree is read in parts, and need not fit memory.
@@ -34,9 +32,8 @@ def render(ctx: click.Context, /, model: Path, scene: Path | None, output: Path,
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run, open_tree, scene_of_views, streaming_of, to_render
     from clsplat.evaluation.views import opened, render_view, render_views
-    check_streaming(ctx, lod)
     run = Run.open(model) if lod or model.is_dir() else None
-    streaming = run and streaming_of(run, lod, lod_bias, host_memory)
+    streaming = streaming_of(run, lod, host_memory)
     if run and streaming:
         options = run.options
         data = scene_of_views(run, scene).reduced(options.downscale, options.max_resolution)
@@ -52,8 +49,7 @@ def render(ctx: click.Context, /, model: Path, scene: Path | None, output: Path,
             renderer, tree, tree.sh_degree, camera.shifted(tree.offset - data.offset)),
             chosen, output, beside)
         share = renderer.drawn / (len(chosen) * tree.count)
-        click.echo(f"{share:.1%} of {tree.count:,} gaussians drawn, mean of the views; "
-                   f"{renderer.cache.read_bytes / 2**20:,.0f} MiB read")
+        click.echo(f"{share:.1%} of {tree.count:,} gaussians drawn, mean of the views")
     else:
         draw = partial(render_view, *opened(choose_device(device), gaussians, data, options))
         render_views(draw, chosen, output, beside)

@@ -6,19 +6,16 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import check_streaming, device_flag, lod_flag, streaming_flags
+from clsplat.cli.flags import device_flag, streaming_flags
 
 
 @click.command(short_help="Look at the model of RUN in the browser.")
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--port", type=click.IntRange(0, 65535), default=0,
               help="Port of the page; default: 8642 if it is free, else any.")
-@lod_flag
 @streaming_flags
 @device_flag
-@click.pass_context
-def view(ctx: click.Context, /, run: Path, port: int, lod: bool, lod_bias: float,
-         host_memory: float, device: str) -> None:
+def view(run: Path, port: int, lod: bool, host_memory: float | None, device: str) -> None:
     """Show the model of RUN on a page for the browser, until Ctrl-C.
 
     clsplat draws every frame itself, so the page works in any browser. It can only be opened on
@@ -27,9 +24,8 @@ def view(ctx: click.Context, /, run: Path, port: int, lod: bool, lod_bias: float
     from clsplat.apps.live import show_run
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run, streaming_of
-    check_streaming(ctx, lod)
     opened = Run.open(run)
-    streaming = streaming_of(opened, lod, lod_bias, host_memory)
+    streaming = streaming_of(opened, lod, host_memory)
     try:
         show_run(opened, choose_device(device), announce, port, streaming)
     except KeyboardInterrupt:

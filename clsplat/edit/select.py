@@ -48,6 +48,24 @@ def halves(positions: NDArray[np.floating], rows: NDArray[np.intp]
     return np.sort(rows[order[:half]]), np.sort(rows[order[half:]])
 
 
+def parted(positions: NDArray[np.floating], rows: NDArray[np.intp], most: int, rounds: int
+           ) -> list[NDArray[np.intp]]:
+    """Rows of positions, more than `most`, in two to 2 ** `rounds` parts: in each round those of
+    more than `most` rows become `halves`."""
+    parts = [rows]
+    for _ in range(rounds):
+        parts = [half for part in parts for half in (
+            halves(positions, part) if len(part) > most else (part,))]
+    return parts
+
+
+def mean_sigma(gaussians: Gaussians) -> float:
+    """Mean standard deviation weighted by opacity, world units; 0 where all are transparent."""
+    opacity = opacities(gaussians)
+    sigma = np.exp(gaussians.log_scales.astype(np.float64)).mean(axis=1)
+    return float(opacity @ sigma / max(opacity.sum(), np.finfo(float).tiny))
+
+
 def merged(models: Sequence[Gaussians]) -> Gaussians:
     """One model of several, in order, in the local frame of the first, with the highest SH degree.
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -231,37 +230,28 @@ class Run:
         return f"<clsplat.Run {str(self.path)!r}, {state}>"
 
 
-@dataclass(frozen=True)
-class Streaming:
-    """How a tree is drawn.
+class Streaming(NamedTuple):
+    """How a tree is drawn: whether far parts at coarser levels, and bytes of host memory."""
 
-    Attributes
-    ----------
-    bias : levels are as coarse as if everything were this many times as far away; 0: the finest.
-    host_bytes : of host memory; see `TreeRenderer`.
-    """
-
-    bias: float = 1.0
+    lod: bool
     host_bytes: float = HOST_BYTES
 
 
-def streaming_of(run: Run, lod: bool, bias: float, host_bytes: float) -> Streaming | None:
+def streaming_of(run: Run | None, lod: bool, host_bytes: float | None) -> Streaming | None:
     """How the tree of a run is drawn; None: its model is.
 
     Parameters
     ----------
-    run : the run.
+    run : None: a file.
     lod : whether levels of detail are wanted. Otherwise a tree is drawn where there is no model, at
         its finest level.
-    bias, host_bytes : as in Streaming.
+    host_bytes : see `TreeRenderer`; None: HOST_BYTES.
     """
-    if lod or _has_tree(run) and not run.folder.has_model:
-        return Streaming(bias if lod else 0.0, host_bytes)
+    if lod or run and (run.path / TREE).is_file() and not run.folder.has_model:
+        return Streaming(lod, host_bytes or HOST_BYTES)
+    if host_bytes:
+        raise InputError("--host-memory: has no effect without --lod; add --lod, or leave this out")
     return None
-
-
-def _has_tree(run: Run) -> bool:
-    return (run.path / TREE).is_file()
 
 
 def open_tree(run: Run, device: Device, near: float, streaming: Streaming
@@ -279,9 +269,9 @@ def open_tree(run: Run, device: Device, near: float, streaming: Streaming
     ------
     InputError : the run has no tree, or it is damaged.
     """
-    if not _has_tree(run):
+    if not (run.path / TREE).is_file():
         raise InputError(f"{run.path / TREE}: no such file; a city has levels of detail to be "
                          "streamed after `clsplat merge CITY --tree`")
     tree, options = Tree(run.path / TREE), run.options
     return TreeRenderer(device, tree, near, options.antialiased, options.background,
-                        bias=streaming.bias, host_bytes=streaming.host_bytes), tree
+                        finest=not streaming.lod, host_bytes=streaming.host_bytes), tree

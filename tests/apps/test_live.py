@@ -144,7 +144,7 @@ def test_a_run_is_shown_as_its_model_is_rendered(item_device, city, tmp_path):
     assert expected.std() > 0.05
     points = city.points[city.views[5].sees(city.points)]
     depths = camera.project(points)[1]
-    for streaming in (None, Streaming(bias=0.0)):
+    for streaming in (None, Streaming(lod=False)):
         answers = shown_on_a_page(run, item_device, streaming, camera, middle)
         folder.model_path.unlink(missing_ok=True)
         code, jpeg = answers["frame"]

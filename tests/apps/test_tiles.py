@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from clsplat.apps.models import turned_up
-from clsplat.apps.tiles import Z_UP, placement, tile_tree, write_tiles
+from clsplat.apps.tiles import Z_UP, placement, write_tiles
 from clsplat.edit.select import merged
 from clsplat.georeference import Georeference
 from clsplat.io.models.formats import read_with_notes
@@ -29,9 +29,9 @@ def content_of(path):
     return model, Y_TO_Z @ np.reshape(node["matrix"], (4, 4)).T[:3, :3] @ SPZ_TO_PLY
 
 
-def written(tmp_path, tree, georeference=None):
+def written(tmp_path, model, limit, georeference=None):
     """(the tileset, its tiles in order, each with its places [N, 3] as a viewer has them)."""
-    write_tiles(tmp_path, tree, georeference, comments=("SplatRenderMode: mip",))
+    count = write_tiles(tmp_path, model, georeference, ("SplatRenderMode: mip",), limit)
     tileset = json.loads((tmp_path / "tileset.json").read_text())
     transform = np.reshape(tileset["root"]["transform"], (4, 4)).T
     tiles = []
@@ -43,12 +43,13 @@ def written(tmp_path, tree, georeference=None):
         for child in record.get("children", ()):
             visit(child)
     visit(tileset["root"])
+    assert count == len(tiles)
     return tileset, tiles
 
 
 def test_the_leaves_hold_every_gaussian_once(tmp_path):
     model = cloud(1000, sh_degree=1, size=0.02, offset=(7.0, -3.0, 100.0))
-    _, tiles = written(tmp_path, tile_tree(model, limit=60))
+    _, tiles = written(tmp_path, model, 60)
     leaves = [tile for tile in tiles if "children" not in tile[0]]
     inner = [tile for tile in tiles if "children" in tile[0]]
     assert len(inner) > 5 and max(tile[1].count for tile in tiles) <= 60
@@ -77,7 +78,7 @@ def ends_of(record):
 
 def test_the_tileset_keeps_the_rules_of_3d_tiles(tmp_path):
     """Those of the JSON schema of OGC 22-025r4 (3D Tiles 1.1), and of its sections on tiles."""
-    tileset, tiles = written(tmp_path, tile_tree(cloud(500, sh_degree=1, size=0.05), limit=40))
+    tileset, tiles = written(tmp_path, cloud(500, sh_degree=1, size=0.05), 40)
     assert set(tileset) == {"asset", "extensionsUsed", "extensions", "geometricError", "root"}
     assert tileset["asset"]["version"] == "1.1"
     assert set(tileset["extensions"]) <= set(tileset["extensionsUsed"])
@@ -114,7 +115,7 @@ def test_a_viewer_has_the_model_that_was_written(tmp_path):
     """Positions, sizes, turns, colours and harmonics, of a model that must be turned upright."""
     up, written_model = np.array([0.0, -0.6, -0.8]), model(300, 2, (3.0, -50.0, 7.0))
     expected = turned_up(written_model, up, Z_UP)
-    tileset, tiles = written(tmp_path, tile_tree(expected, limit=90))
+    tileset, tiles = written(tmp_path, expected, 90)
     transform = np.reshape(tileset["root"]["transform"], (4, 4)).T
     leaves = []
     for record, found, *_ in tiles:
@@ -128,7 +129,7 @@ def test_a_viewer_has_the_model_that_was_written(tmp_path):
 def test_on_the_earth(tmp_path):
     place = Georeference("EPSG:32633", (465_000.0, 5_800_000.0, 50.0), "", 0.0)
     model = cloud(50, offset=(100.0, 200.0, 10.0))
-    _, tiles = written(tmp_path, tile_tree(model, limit=60), place)
+    _, tiles = written(tmp_path, model, 60, place)
     # heights are above the ellipsoid
     east, north, height = (model.positions + model.offset + np.array(place.offset)).T
     degrees = pyproj.Transformer.from_crs("EPSG:32633", "OGC:CRS84", always_xy=True).transform(

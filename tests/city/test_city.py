@@ -20,6 +20,7 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.partition.make import make_partition
+from clsplat.rendering.tree import MOST_SIGMA_PIXELS
 from tests.data.tiny_training import CITY
 from tests.schedule.driven_sig import FACTS
 
@@ -134,18 +135,18 @@ def pictures(folder, out, *words):
     return np.array([read_image(path) for path in sorted(out.rglob("*.png"))]) / 255
 
 
-def test_a_tree_is_drawn_as_the_model_it_replaces(copy, tmp_path, capsys):
+def test_a_tree_is_drawn_as_the_model_it_replaces(copy, tmp_path, capsys, monkeypatch):
     whole = pictures(copy, tmp_path / "whole")
     merged = RunFolder(copy.path).load_model()
     (copy.path / "point_cloud.ply").unlink()
     command("merge", copy.path, "--tree", "--device", DEVICE)
     assert f"{merged.count:,} gaussians of 2 blocks" in capsys.readouterr().out
     assert not (copy.path / "point_cloud.ply").exists()
-    near = ("--lod", "--lod-bias", "1e-6", "--host-memory", "16MiB")
-    for name, words in (("tree", ()), ("near", near)):
-        assert abs(pictures(copy, tmp_path / name, *words) - whole).max() <= 1 / 255
+    finest = pictures(copy, tmp_path / "finest", "--host-memory", "16MiB")
+    assert abs(finest - whole).max() <= 1 / 255
     assert "of " + f"{merged.count:,} gaussians drawn" in capsys.readouterr().out
-    far = pictures(copy, tmp_path / "far", "--lod", "--lod-bias", "1e6")
+    monkeypatch.setitem(MOST_SIGMA_PIXELS, False, 1e6)
+    far = pictures(copy, tmp_path / "far", "--lod")
     assert 0.003 < abs(far - whole).mean() < 0.1
     command("film", copy.path, "-o", tmp_path / "film", "--seconds", "0.1", "--fps", "20", "--size",
             "64x48", "--lod", "--device", DEVICE)

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.cities.tree import frequency, parted
+from clsplat.edit.select import mean_sigma, parted
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.models.tree import HEADER, NO_PARENT, ORDER, Tree, writing_tree
-from clsplat.rendering.tree import NodeCache, NodeParts, choose
+from clsplat.rendering.tree import NodeParts, choose
 from tests.data.made_tree import write_tree
-from tests.reference.frequency import scene_frequency
 
 CELL, COUNT = 40, 1000
 LENGTH = 100.0  # of the strip
@@ -63,15 +62,18 @@ def content(tree, node):
     return Gaussians({name: tree.read(node, name) for name in ORDER}, tree.sh_degree)
 
 
+def children(tree, node):
+    return np.flatnonzero(tree.nodes["parent"] == node)
+
+
 def leaves_below(tree, node):
-    firsts, children = tree.children
-    below = children[firsts[node]:firsts[node + 1]]
+    below = children(tree, node)
     return [node] if not len(below) else [leaf for child in below
                                           for leaf in leaves_below(tree, child)]
 
 
 def test_the_leaves_are_the_model_and_the_others_a_quarter_of_what_they_replace(model, tree):
-    leaves, (firsts, children) = np.flatnonzero(tree.is_leaf), tree.children
+    leaves = np.flatnonzero(tree.is_leaf)
     assert tree.count == COUNT and tree.offset.tolist() == [1e6, 2e6, 3.0]
     assert sorted(leaves_below(tree, len(tree.nodes) - 1)) == leaves.tolist()
     assert (tree.nodes["count"][leaves] <= CELL).all() and len(leaves) < 3 * COUNT / CELL
@@ -79,7 +81,7 @@ def test_the_leaves_are_the_model_and_the_others_a_quarter_of_what_they_replace(
                        for name in ORDER}, 1)
     assert np.array_equal(table(whole), table(model))
     for number in np.flatnonzero(~tree.is_leaf):
-        node, below = tree.nodes[number], tree.nodes[children[firsts[number]:firsts[number + 1]]]
+        node, below = tree.nodes[number], tree.nodes[children(tree, number)]
         assert 2 <= len(below) <= 4 and node["count"] == -(-int(below["count"].sum()) // 4)
         assert (node["low"] <= below["low"]).all() and (node["high"] >= below["high"]).all()
         assert node["sigma"] > below["sigma"].mean() and node["largest"] >= max(below["largest"])
@@ -111,25 +113,18 @@ def test_nodes_replace_all_leaves_that_are_seen_once(tree, x, focal):
         tree, len(tree.nodes) - 1)) or x == 30.0
 
 
-def test_what_is_read_is_kept_within_its_limit(tree):
-    everything = np.flatnonzero(tree.is_leaf)
-    cache = NodeCache(tree, 3000.0)
-    parts = NodeParts(cache, everything)
+def test_rows_of_nodes(tree):
+    leaves = np.flatnonzero(tree.is_leaf)
+    parts = NodeParts(tree, leaves)
     assert parts.count == COUNT
-    whole = np.concatenate([tree.read(leaf, "positions") for leaf in everything])
+    whole = np.concatenate([tree.read(leaf, "positions") for leaf in leaves])
     rows = np.random.default_rng(0).permutation(COUNT)[:300]
-    for _ in range(2):
-        assert np.array_equal(parts.read("positions", rows), whole[rows])
-        assert sum(values.nbytes for values in cache._kept.values()) <= 3000
+    assert np.array_equal(parts.read("positions", rows), whole[rows])
     assert np.array_equal(parts.read("positions", slice(0, COUNT)), whole)
-    before = cache.read_bytes
-    last = int(everything[-1])
-    assert cache.get(last, "positions") is cache.get(last, "positions")
-    assert cache.read_bytes == before
 
 
 def test_rows_at_one_place_are_parted():
-    parts = list(parted(np.zeros((9, 3)), np.arange(9), 2))
+    parts = parted(np.zeros((9, 3)), np.arange(9), 2, 2)
     assert sorted(map(len, parts)) == [2, 2, 2, 3] and sorted(np.concatenate(parts)) == list(
         range(9))
 
@@ -168,9 +163,8 @@ def test_damaged_trees_are_refused(tree, tmp_path):
     assert tree.nodes["parent"][-1] == NO_PARENT
 
 
-def test_the_frequency_is_the_robust_one():
-    rng = np.random.default_rng(0)
-    scales, logits = rng.normal(-3, 2, (50, 3)), rng.normal(0, 3, 50)
-    expected = scene_frequency(scales, logits)["robust_mean"]
-    assert frequency(scales, logits) == pytest.approx(expected, rel=1e-12)
-    assert frequency(scales[:0], logits[:0]) == 0
+def test_opaque_gaussians_count_in_the_mean_sigma():
+    rows = dict(strip(2, 0.1).rows, opacity_logits=np.float32([0, -100]))
+    rows["log_scales"] = np.log(np.float32([[1, 2, 3], [9, 9, 9]]))
+    assert mean_sigma(Gaussians(rows, 1)) == pytest.approx(2)
+    assert mean_sigma(Gaussians({**rows, "opacity_logits": np.float32([-1e9, -1e9])}, 1)) == 0

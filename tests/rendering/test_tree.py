@@ -33,7 +33,7 @@ def test_the_finest_nodes_are_drawn_as_the_model(float_device, tmp_path):
     whole = downloaded(renderer.render(rows, renderer.pack(camera), *size, degree, True))
     for limit in (None, 17):
         streamed = TreeRenderer(float_device, tree, case["near"], False, case["background"],
-                                bias=0.0, limit=limit)
+                                finest=True, limit=limit)
         frames = [streamed.render(tree, streamed.pack(camera), *size, degree, True)
                   for _ in range(2)]
         assert np.array_equal(*(frame.image.download() for frame in frames))
@@ -42,7 +42,7 @@ def test_the_finest_nodes_are_drawn_as_the_model(float_device, tmp_path):
         else:
             assert frames[1].slabs > 1
             same_to_rounding(downloaded(frames[1]), whole)
-        assert streamed.frames == 2 and streamed.drawn <= 2 * tree.count
+        assert 0 < streamed.drawn <= 2 * tree.count
 
 
 PROGRAM = """
@@ -63,7 +63,7 @@ for path in sys.argv[1:]:  # the first compiles the kernels
     before = resident("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak so far is forgotten
     tree = Tree(path)
-    renderer = TreeRenderer(device, tree, 0.1, bias=0.0, host_bytes=16 << 20)
+    renderer = TreeRenderer(device, tree, 0.1, finest=True, host_bytes=16 << 20)
     renderer.render(tree, camera, 96, 64, 1)
     assert renderer.drawn > 0.9 * tree.count
 print(resident("VmHWM") - before)

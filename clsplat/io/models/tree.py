@@ -14,7 +14,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BufferedReader, BufferedWriter
 from pathlib import Path
@@ -42,21 +42,20 @@ NO_PARENT = 2**32 - 1
 NODE = np.dtype([("place", "<u8"), ("count", "<u4"), ("parent", "<u4"),
                  *((name, "<f8", 3) for name in ("low", "high", "usual_low", "usual_high")),
                  ("sigma", "<f8"), ("largest", "<f8")])
-Numbers = NDArray[np.float32]
 
 
 class TreeWriter:
     """Writes the nodes of a tree, of which `nodes` has the entries; see `writing_tree`."""
 
     def __init__(self, file: BufferedWriter, sh_degree: int) -> None:
-        self._file, self.sh_degree = file, sh_degree
+        self._file, self._sh_degree = file, sh_degree
         self.nodes: list[NDArray[Any]] = []
 
-    def add(self, gaussians: Gaussians, facts: dict[str, ArrayLike],
+    def add(self, gaussians: Gaussians, facts: Mapping[str, ArrayLike],
             children: Sequence[int] = ()) -> int:
         """Write a node with the fields of NODE from `low` on, which replaces the nodes with some
         numbers; returns its own."""
-        content = gaussians.with_sh_degree(self.sh_degree)
+        content = gaussians.with_sh_degree(self._sh_degree)
         node = np.zeros((), NODE)
         known = {"place": self._file.tell(), "count": content.count, "parent": NO_PARENT}
         for name, values in {**known, **facts}.items():
@@ -67,13 +66,6 @@ class TreeWriter:
             self.nodes[child]["parent"] = len(self.nodes)
         self.nodes.append(node)
         return len(self.nodes) - 1
-
-    def read(self, number: int) -> Gaussians:
-        """The content of a node, from the file."""
-        self._file.flush()
-        with open(self._file.name, "rb") as file:
-            return Gaussians({name: _read(file, self.nodes[number], self.sh_degree, name)
-                              for name in ORDER}, self.sh_degree)
 
 
 @contextmanager
@@ -100,7 +92,7 @@ class Tree:
     ----------
     sh_degree, offset : of its gaussians.
     nodes : NODE[K]; a node stands behind its children, the root is the last.
-    children : int[K + 1] and int[K - 1]: where the children of each node begin in the second.
+    is_leaf : bool[K].
     count : how many gaussians the leaves have.
     """
 
@@ -112,16 +104,20 @@ class Tree:
             record, self.nodes = _index(self._file)
             self.sh_degree = int(record["sh_degree"])
             self.offset = np.array(record["offset"], np.float64).reshape(3)
-        parents = self.nodes["parent"][:-1]
-        self.children = (np.searchsorted(np.sort(parents), np.arange(len(self.nodes) + 1)),
-                         np.argsort(parents, kind="stable"))
-        self.is_leaf = np.diff(self.children[0]) == 0
+        self.is_leaf = ~np.isin(np.arange(len(self.nodes)), self.nodes["parent"])
         self.count = int(self.nodes["count"][self.is_leaf].sum())
 
-    def read(self, number: int, name: str) -> Numbers:
+    def read(self, number: int, name: str) -> NDArray[np.float32]:
         """float32[n, *row shape]: the rows of a field of a node."""
+        node, degree = self.nodes[number], self.sh_degree
+        count = int(node["count"])
+        before = sum(FIELDS[other].width(degree) for other in ORDER[:ORDER.index(name)])
+        values = np.empty((count, *FIELDS[name].row_shape(degree)), "<f4")
         with reading(self.path, KIND, CURE):
-            return _read(self._file, self.nodes[number], self.sh_degree, name)
+            self._file.seek(int(node["place"]) + 4 * before * count)
+            if values.size and self._file.readinto(values.data.cast("B")) != values.nbytes:
+                raise ValueError("it ends early")
+        return values
 
 
 def row_bytes(sh_degree: int) -> int:
@@ -149,12 +145,3 @@ def _index(file: BufferedReader) -> tuple[dict[str, Any], NDArray[Any]]:
             or (parents[:-1] < behind).any() or (parents[:-1] >= len(nodes)).any()):
         raise ValueError("its index does not fit")
     return record, nodes
-
-
-def _read(file: BufferedReader, node: NDArray[Any], sh_degree: int, name: str) -> Numbers:
-    before = sum(FIELDS[other].width(sh_degree) for other in ORDER[:ORDER.index(name)])
-    values = np.empty((int(node["count"]), *FIELDS[name].row_shape(sh_degree)), "<f4")
-    file.seek(int(node["place"]) + 4 * before * int(node["count"]))
-    if values.size and file.readinto(values.data.cast("B")) != values.nbytes:
-        raise ValueError("it ends early")
-    return values
