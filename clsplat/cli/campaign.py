@@ -5,49 +5,15 @@ A run is the folder OUTPUT/SCHEDULE.SEED. The same command again continues an in
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from clsplat.config.option import differences, options_of
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.options import TrainOptions, options_with, resolve, serves
-
-if TYPE_CHECKING:
-    from clsplat.io.runs.run import RunFolder
-
-NEW, STARTED, FINISHED = "from the start", "from its checkpoint", "finished before"
-
-
-@dataclass(frozen=True)
-class CampaignRun:
-    """A run of a campaign, in its folder."""
-
-    folder: Path
-    options: TrainOptions
-
-    def state(self, scene: Path) -> str:
-        """NEW, STARTED or FINISHED; InputError if the folder holds another run."""
-        from clsplat.io.runs.run import OPTIONS, RunFolder
-        if not (self.folder / OPTIONS).exists():
-            with RunFolder(self.folder).locked():
-                RunFolder.create(self.folder)
-            return NEW
-        run = RunFolder.open(self.folder)
-        record = run.read_options()
-        cure = "choose another -o, or remove that folder"
-        if not _is_of(run, record, scene):
-            raise InputError(f"{self.folder}: holds a run of another scene, {record.get('scene')}; "
-                             f"{cure}")
-        for name, old, new in differences(record, self.options):
-            raise InputError(f"{self.folder}: holds a run with {name} {old}, not {new}; {cure}")
-        if run.is_finished:
-            return FINISHED
-        return STARTED if run.has_checkpoint else NEW
 
 
 def combinations(file_values: dict[str, Any], flag_values: dict[str, Any], schedules: str,
@@ -80,39 +46,26 @@ def combinations(file_values: dict[str, Any], flag_values: dict[str, Any], sched
             for number in range(seeds) for name in names]
 
 
-def run_campaign(train_one: Callable[[CampaignRun, bool], object],
-                 runs: list[TrainOptions], output: Path, scene: Path) -> None:
+def run_campaign(train_one: Callable[[Path, TrainOptions | None], object],
+                 runs: list[TrainOptions], output: Path) -> None:
     """Train the runs that are not finished, then print and write the comparison of all.
 
-    A run that fails does not stop the others.
-
-    Parameters
-    ----------
-    train_one : called with a run, and whether to resume it from its checkpoint; if not, it may
-        overwrite the folder, which has no checkpoint.
-    runs : the result of `combinations`.
-    scene : the path of the scene.
-
-    Raises
-    ------
-    InputError : before any training if a folder holds another run; at the end if a run failed.
+    `train_one` trains a run into a folder; without options it resumes it. InputError at the end for
+    runs that failed, or whose folder holds a run with other options; others are trained.
     """
-    planned = [CampaignRun(Path(output) / f"{each.schedule}.{each.seed}", each) for each in runs]
-    states = [each.state(scene) for each in planned]
     finished, failed = [], []
-    for number, (run, state) in enumerate(zip(planned, states), 1):
-        click.echo(f"[{number}/{len(runs)}] {run.folder}: {state}")
-        if state != FINISHED:
-            try:
-                train_one(run, state == STARTED)
-            except Interrupted as error:
-                raise Interrupted(f"{error}; the same command as before continues the whole "
-                                  "campaign") from None
-            except ClsplatError as error:
-                click.echo(f"failed: {error}", err=True)
-                failed.append(run.folder)
-                continue
-        finished.append(run.folder)
+    for number, options in enumerate(runs, 1):
+        folder = output / f"{options.schedule}.{options.seed}"
+        click.echo(f"[{number}/{len(runs)}] {folder}")
+        try:
+            go_on(train_one, folder, options)
+            finished.append(folder)
+        except Interrupted as error:
+            raise Interrupted(f"{error}; the same command as before continues the whole campaign"
+                              ) from None
+        except ClsplatError as error:
+            click.echo(f"failed: {error}", err=True)
+            failed.append(folder)
     if finished:
         from clsplat.report.compare import write_comparison
         text, page = write_comparison(finished, output)
@@ -122,13 +75,13 @@ def run_campaign(train_one: Callable[[CampaignRun, bool], object],
                          "failed for the reasons above; the same command tries them again")
 
 
-def _is_of(run: RunFolder, record: dict[str, Any], scene: Path) -> bool:
-    """Whether a run was trained on this scene, which may have been moved since."""
-    from clsplat.io.scenes.read import fingerprint, read_scene
-    try:
-        if os.path.samefile(run.scene_path(), scene):
-            return True
-    except (InputError, OSError):
-        pass
-    images = record.get("images") or ""
-    return bool(fingerprint(read_scene(scene, images)) == record.get("fingerprint"))
+def go_on(train_one: Callable[[Path, TrainOptions | None], object], folder: Path,
+          options: TrainOptions) -> None:
+    """Train a run from its start or its checkpoint, unless it is finished."""
+    from clsplat.io.runs.run import RunFolder
+    run = RunFolder(folder)
+    for name, old, new in differences(run.read_options(), options) if run.is_begun else ():
+        raise InputError(f"{folder}: holds a run with {name} {old}, not {new}; choose another -o, "
+                         "or remove that folder")
+    if not (run.is_begun and run.is_finished):
+        train_one(folder, None if run.has_checkpoint else options)

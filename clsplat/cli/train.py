@@ -149,12 +149,12 @@ def _campaign(scene: Path, output: Path, values: dict[str, Any], flags: dict[str
               schedules: str, seeds: int, quiet: bool, up: tuple[float, float, float] | None
               ) -> None:
     """Train every schedule with every seed, then compare them."""
-    from clsplat.cli.campaign import CampaignRun, combinations, run_campaign
+    from clsplat.cli.campaign import combinations, run_campaign
 
-    def train_one(run: CampaignRun, resume: bool) -> None:
-        _train(scene, run.folder, None if resume else run.options, {}, True, quiet, up)
+    def train_one(folder: Path, options: TrainOptions | None) -> None:
+        _train(scene, folder, options, {}, True, quiet, up)
 
-    run_campaign(train_one, combinations(values, flags, schedules, seeds), output, scene)
+    run_campaign(train_one, combinations(values, flags, schedules, seeds), output)
 
 
 def resumed_options(record: dict[str, Any], flags: dict[str, Any]) -> TrainOptions:

@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.cities import city as cities
 from clsplat.cities.block import BlockTraining
-from clsplat.cli import campaign
+from clsplat.cli.campaign import go_on
 from clsplat.cli.train import resumed_options
 from clsplat.config.option import differences, plain
 from clsplat.errors import InputError, Interrupted
@@ -52,8 +52,7 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
     assert refuses(resumed_options, record, {name: value}) == differs
     run = RunFolder.create(tmp_path / "run")
     run.write_options({"scene": tmp_path, **dataclasses.asdict(here)})
-    monkeypatch.setattr(campaign, "_is_of", lambda *_: True)
-    assert refuses(campaign.CampaignRun(run.path, other).state, tmp_path) == differs
+    assert refuses(go_on, lambda *_: None, run.path, other) == differs
     block = SimpleNamespace(folder=run, options=other)  # whose `init` moves
     assert refuses(BlockTraining._check_same, block) == (differs and name != "init")
     city = SimpleNamespace(

@@ -1,7 +1,6 @@
 """Comparisons: which runs belong together, the numbers, what is unfair; and campaigns."""
 
 import json
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -243,9 +242,8 @@ class Trainer:
     def __init__(self, failures=()):
         self.calls, self.failures = [], dict(failures)
 
-    def __call__(self, run, resume):
-        folder, options = run.folder, run.options
-        self.calls.append((folder.name, resume))
+    def __call__(self, folder, options):
+        self.calls.append((folder.name, options is None))
         if folder.name in self.failures:
             raise self.failures[folder.name]
         made_run(folder, options.schedule, options.seed, iterations=options.iterations)
@@ -259,7 +257,7 @@ def wanted():
 @pytest.mark.slow
 def test_a_campaign_trains_all_and_compares(tmp_path, wanted, capsys):
     trainer = Trainer()
-    run_campaign(trainer, wanted, tmp_path / "cmp", "/data/city")
+    run_campaign(trainer, wanted, tmp_path / "cmp")
     assert trainer.calls == [("sig.0", False), ("dash.0", False), ("sig.1", False),
                              ("dash.1", False)]
     said = capsys.readouterr().out
@@ -268,15 +266,14 @@ def test_a_campaign_trains_all_and_compares(tmp_path, wanted, capsys):
 
 
 @pytest.mark.slow
-def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted, scenes):
+def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted):
     made_run(tmp_path / "sig.0", "sig", 0)
     started = made_run(tmp_path / "dash.0", "dash", 0, finished=False, checkpoint_every=7)
     started.save_checkpoint({}, {})
     made_run(tmp_path / "sig.1", "sig", 1, finished=False)  # killed before its first checkpoint
 
-    def train(run, resume):
-        folder = run.folder
-        calls.append((folder.name, resume))
+    def train(folder, options):
+        calls.append((folder.name, options is None))
         folder.mkdir(exist_ok=True)
         (folder / "point_cloud.ply").write_text("ply")
         if folder.name == "dash.1":
@@ -285,22 +282,14 @@ def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted, scenes):
             (tmp_path / "x" / "metrics.jsonl").rename(folder / "metrics.jsonl")
 
     calls = []
-    run_campaign(train, wanted, tmp_path, "/data/city")
+    run_campaign(train, wanted, tmp_path)
     assert calls == [("dash.0", True), ("sig.1", False), ("dash.1", False)]
-
-
-@pytest.fixture
-def scenes(monkeypatch):
-    """The made-up scenes of the runs: city and barn."""
-    monkeypatch.setattr("clsplat.io.scenes.read.read_scene", Path)
-    monkeypatch.setattr("clsplat.io.scenes.read.fingerprint",
-                        lambda scene: ("ab" if scene.name == "city" else "cd") * 32)
 
 
 @pytest.mark.slow
 def test_a_run_that_fails_does_not_stop_the_others(tmp_path, wanted, capsys):
     trainer = Trainer({"dash.0": DeviceError("no memory")})
-    refused(lambda: run_campaign(trainer, wanted, tmp_path, "/data/city"), "dash.0", "1 of 4")
+    refused(lambda: run_campaign(trainer, wanted, tmp_path), "dash.0", "1 of 4")
     assert len(trainer.calls) == 4
     heard = capsys.readouterr()
     assert "failed: no memory" in heard.err and "Against training time" in heard.out
@@ -309,5 +298,5 @@ def test_a_run_that_fails_does_not_stop_the_others(tmp_path, wanted, capsys):
 def test_an_interrupted_campaign_stops(tmp_path, wanted):
     trainer = Trainer({"dash.0": Interrupted("stopped")})
     with pytest.raises(Interrupted, match="the same command"):
-        run_campaign(trainer, wanted, tmp_path, "/data/city")
+        run_campaign(trainer, wanted, tmp_path)
     assert len(trainer.calls) == 2
