@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
+from clsplat.cities.city import Shown
 from clsplat.cities.exchange import exchange, lacking_blocks, other_blocks, write_owned
-from clsplat.cities.jobs import Job, never
+from clsplat.cities.jobs import Job
 from clsplat.cities.scene import BlockScene
 from clsplat.cities.workers import Outcome, Workers
 from clsplat.config.option import differences
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted, OutOfDeviceMemory, StopTraining
-from clsplat.io.lock import LockTaken, latest_change
 from clsplat.io.runs.city import DENSE, BlockFolder, CityFolder
 from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.write import DEPTH
@@ -22,14 +21,14 @@ from clsplat.options import EARLIER, TrainOptions, checked_values, of_file, reso
 from clsplat.training.checkpoint import Saved
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
-from clsplat.training.progress import NotedProgress, SilentProgress
+from clsplat.training.progress import SilentProgress
 
 # options that the coarse run decides, so that all blocks agree on colours and SH degree
 DECIDED = ("exposure", "vignetting", "sh_degree")
 BEFORE = "was finished before"
 MOST_NAMED = 5  # blocks in a message
 MAY_DIFFER = "init"  # a path in the block's folder, which may have been moved
-LOCK_SECONDS = 300  # for a process without a sign of work, which may be saving its state
+LOCK_SECONDS = 300  # for another process, which may be saving its state
 
 
 @dataclass(frozen=True)
@@ -48,21 +47,15 @@ class BlockJob(Job):
     alone: bool = False
 
     def run(self, device: Device, progress: SilentProgress | None = None,
-            stopping: Callable[[], bool] = never) -> str:
+            stopping: Callable[[], bool] = lambda: False) -> str:
         """Train the block; returns its state, see `BlockTraining.run`.
 
-        Another process that trains it is waited for as long as that works: a worker that the
-        scheduler has lost may finish the block.
+        Another process that trains it is waited for: a worker that the scheduler has lost may
+        finish the block.
         """
         self.block.check()
-        training = BlockTraining(self.block, device, stopping)
-        while True:
-            before = latest_change(self.folder)
-            try:
-                return training.run(progress, self.until, self.alone, LOCK_SECONDS)
-            except LockTaken:
-                if latest_change(self.folder) == before:
-                    raise
+        return BlockTraining(self.block, device, stopping).run(progress, self.until, self.alone,
+                                                               LOCK_SECONDS)
 
 
 def decided_by(coarse: RunFolder) -> dict[str, Any]:
@@ -102,7 +95,7 @@ class BlockTraining:
     """
 
     def __init__(self, block: BlockFolder, device: Device | None = None,
-                 stopping: Callable[[], bool] = never,
+                 stopping: Callable[[], bool] = lambda: False,
                  changes: Mapping[str, Any] | None = None) -> None:
         self.block, self.options = block, block_options(block, **(changes or {}))
         self.folder, self.device, self._stopping = RunFolder(block.run), device, stopping
@@ -130,7 +123,7 @@ class BlockTraining:
                 self._check_same()
             if run.is_finished:
                 return BEFORE
-            self._progress = NotedProgress(run.path, progress or SilentProgress())
+            self._progress = progress or SilentProgress()
             self.device = self.device or choose_device(self.options.device, form=self.options.form)
             others = other_blocks(block) if exchanges else []
             scene = BlockScene.read(block)
@@ -189,24 +182,15 @@ class BlockTraining:
                                  f"has {present}; put that back, or remove the run")
 
 
-def train_blocks(city: CityFolder, workers: Workers, device: Device,
-                 progress: Callable[[str], AbstractContextManager[SilentProgress | None]]
-                 = lambda title: nullcontext(),
-                 ended: Callable[[str, Outcome], object] = lambda title, outcome: None,
-                 began: Callable[[str, str], object] = lambda title, name: None,
+def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Shown | None = None,
                  fill: bool = False) -> list[Outcome]:
     """Train the blocks that are not finished, the longest first; return the outcome of every block.
 
     Where blocks exchange gaussians, a block goes on as soon as those with which it does so have
-    come as far. If one fails, they wait there, or with `fill` go on alone.
-
-    Parameters
-    ----------
-    workers : which train them.
-    device : for trainings in this process.
-    progress : called with a title such as "block 2 of 9"; the progress of a training here.
-    ended, began : called with such a title, and an outcome, or the name of a block.
+    come as far. If one fails, they wait there, or with `fill` go on alone. `workers` train them, or
+    this process on `device`.
     """
+    shown = shown or Shown()
     blocks = {block.path.name: block
               for block in sorted(city.blocks(), key=_expected_work, reverse=True)}
     places = {name: f"block {place} of {len(blocks)}" for place, name in enumerate(blocks, 1)}
@@ -215,20 +199,30 @@ def train_blocks(city: CityFolder, workers: Workers, device: Device,
         return job.name.replace(job.block.path.name, places[job.block.path.name], 1)
 
     def here(job: BlockJob) -> str:
-        with progress(title(job)) as shown:
-            return job.run(device, shown)
+        with shown.stage(title(job)) as progress:
+            return job.run(device, progress)
+
+    def began(job: BlockJob) -> None:
+        if workers.several:
+            shown.line(f"{title(job)}: training in blocks/{job.block.path.name}")
+
+    def ended(outcome: Outcome) -> None:
+        shown.line(f"{title(outcome.job)} (blocks/{outcome.job.block.path.name}): "
+                   f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
 
     def trained(jobs: Iterable[BlockJob]) -> dict[str, Outcome]:
         device_name = workers.devices[0] if len(workers.devices) == 1 else ""
-        jobs = [replace(job, device=device_name or job.device) for job in jobs]
-        return _by_block(workers.run(
-            jobs, here, lambda job: began(title(job), job.block.path.name),
-            lambda outcome: ended(title(outcome.job), outcome)))
+        return _by_block(workers.run([replace(job, device=device_name or job.device)
+                                      for job in jobs], here, began, ended))
 
     outcomes = trained(jobs_of(city, list(blocks.values())))
     if fill and any(not outcome.ok for outcome in outcomes.values()):
         outcomes |= trained(job_of(block, alone=True) for name, block in blocks.items()
                             if outcomes[name].ok)
+    for outcome in outcomes.values():
+        if not outcome.ok:
+            shown.failure(f"block {outcome.job.block.path.name} failed on {outcome.worker}: "
+                          f"{_reason_of(outcome)}")
     return list(outcomes.values())
 
 
@@ -273,7 +267,7 @@ def _by_block(outcomes: Iterable[Outcome]) -> dict[str, Outcome]:
     return found
 
 
-def reason_of(outcome: Outcome) -> str:
+def _reason_of(outcome: Outcome) -> str:
     """Why a block failed, in one line with the cure."""
     if isinstance(outcome.error, OutOfDeviceMemory):
         return (f"{outcome.error}; or begin a new city with smaller blocks, by a finer --grid or "

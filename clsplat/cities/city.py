@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -38,6 +39,20 @@ from clsplat.training.start.prepare import prepare, scene_facts
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
 # of the steps of one run; at half size they cost a quarter or less. A joint training needs fewer
 COARSE_SHARE, COARSE_SHARE_BEFORE_JOINT = 0.5, 0.25
+
+
+class Shown:
+    """Receives what a city does, and shows nothing; a subclass shows it."""
+
+    def stage(self, title: str) -> AbstractContextManager[SilentProgress | None]:
+        """The progress of a stage, such as "coarse run" or "block 2 of 9"."""
+        return nullcontext()
+
+    def line(self, text: str) -> None:
+        """A line, or a table, that stays."""
+
+    def failure(self, text: str) -> None:
+        """A line about a block that failed, or an option without effect."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,32 +38,27 @@ class Cluster:
     def __init__(self, address: str) -> None:
         self._address, self._run = address, f"clsplat-{uuid.uuid4().hex}"
         self._client: Any = connected(address, CONNECT_SECONDS)
-        self._next_poll, self._slots = 0.0, 0
-        self._worker_seen = time.monotonic()
+        self._next_poll, self._slots, self._worker_seen = 0.0, 1, time.monotonic()
 
     def slots(self) -> int:
         """The number of devices that the workers declare; InputError if there have been none for
         too long."""
-        now, first = time.monotonic(), not self._next_poll
+        now, before = time.monotonic(), self._slots
         if now < self._next_poll:
-            return self._slots
+            return before
         workers: Collection[dict[str, Any]] = ()
         with suppress(OSError, _distributed().TimeoutError, _distributed().CancelledError):
             workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
-        before = self._slots
         self._slots = sum(int(worker["resources"].get(RESOURCE, 0)) for worker in workers)
         self._next_poll = now + POLL_SECONDS
         cure = (f"start workers with `dask worker {self._address} --nthreads 1 --resources "
                 f"{RESOURCE}=1`")
         if self._slots:
             self._worker_seen = now
-        elif workers and first:
-            raise InputError(f"--scheduler {self._address}: none of its {len(workers)} workers "
-                             f"declares a device; {cure}")
         elif now - self._worker_seen > WAIT_SECONDS:
             raise InputError(f"--scheduler {self._address}: has had no worker with a device for "
                              f"{WAIT_SECONDS} s; {cure}; finished jobs are kept")
-        elif before or first:
+        elif before:
             log.warning("%s: has no worker with a device; waiting up to %d s; %s", self._address,
                         WAIT_SECONDS, cure)
         return self._slots

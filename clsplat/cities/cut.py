@@ -29,6 +29,7 @@ from clsplat.partition.region import Partition
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Rows
 from clsplat.report.figures.map import write_map
+from clsplat.report.page import Table
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of
 from clsplat.training.start.prepare import smallest_size
@@ -40,12 +41,11 @@ INVISIBLE = -1e4  # the logit of an opacity that is not drawn
 BLOCKS_TOGETHER = 4  # that are written at the same time, so that few are in memory
 
 
-def cut_into_blocks(city: City, partition_options: PartitionOptions | None = None
-                    ) -> tuple[Partition, NDArray[np.integer]]:
-    """Make the partition of a city whose coarse run is finished, and the folders of its blocks.
+def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
+    """Make the partition of a city whose coarse run is finished, its map, and the folders of its
+    blocks; return a table of these.
 
-    Existing ones stay as they are, and the partition must have been made with these options, if any
-    are given. Returns the partition, and the coarse gaussians that each block owns, [B]."""
+    Existing ones stay as they are, and the partition must have been made with these options."""
     folder, options, scene = city.folder, city.options, city.pinhole  # blocks are pinhole scenes
     coarse = Run.open(folder.coarse)
     small, gaussians = coarse.options, coarse.finished_model
@@ -56,10 +56,8 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions | None = Non
     one_run, facts = city.one_run(scene, [scene.views[index] for index in views])
     if folder.has_partition:
         partition = folder.partition(scene)
-        if partition_options:
-            _check_same(folder, partition_options)
+        _check_same(folder, partition_options)
     else:
-        assert partition_options is not None
         partition_options, drop = partition_options.decided(), None
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
             drop = DropTest(city.device, gaussians,
@@ -112,7 +110,22 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions | None = Non
     numbers = ((number,) for number in range(len(partition.regions)))
     for _ in called_ahead(write, numbers, BLOCKS_TOGETHER, BLOCKS_TOGETHER):
         pass  # an error is raised here
-    return partition, counts
+    draw(folder, partition, scene, counts)
+    return _block_table(folder, counts)
+
+
+def _block_table(city: CityFolder, counts: Iterable[int]) -> Table:
+    """The start of each block of a city; `counts` [B]: the gaussians that it owns."""
+    names = ("margin", "surroundings", DENSE, "views")
+    records = [(block.path.name, block.read(*names[:2], names[-1])) for block in city.blocks()]
+    rows = [(name, f"{count:,}", *(f"{record.get(column, 0):,}" for column in names),
+             f"{record['options']['iterations']:,}")
+            for (name, record), count in zip(records, counts)]
+    return Table("Blocks", ("block", "gaussians", "margin", "around", "dense", "views", "steps"),
+                 rows, range(1, 7), (
+        "Gaussians: of the coarse run; around: those that the block holds without training them; "
+        "dense: those that begin at dense points, in gaps of the coarse model (--init sfm leaves "
+        "them out).",))
 
 
 def visits_of_blocks(partition: Partition, scene: Scene, gaussians: Gaussians,

@@ -1,18 +1,12 @@
-"""Forecasts of the memory and time of a city's blocks."""
+"""How large a city becomes, and what a larger one like it would take."""
 
-import heapq
 from collections.abc import Iterable
-from itertools import pairwise
 from pathlib import Path
 
-from clsplat.cities.block import block_options
-from clsplat.cities.scene import BlockScene
 from clsplat.device import Device
-from clsplat.estimate.cost import fitted, pixels
-from clsplat.estimate.forecast import MIB, Forecast, Planned
-from clsplat.evaluation.run import Run
+from clsplat.estimate.cost import fitted
+from clsplat.estimate.forecast import Forecast, Planned
 from clsplat.gaussians import LEARNED
-from clsplat.io.runs.city import DENSE, CityFolder
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.options import ScheduledOptions
 from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, PartitionOptions
@@ -25,12 +19,9 @@ from clsplat.training.start.prepare import scene_facts
 GIB = 2**30
 COARSE_COST = 0.25  # time of the coarse run, as a share of the time of one run of the whole
 PLY_BYTES = 248  # of a gaussian with all spherical harmonics
-LEAST_MEASURED = 3  # steps of the coarse run, for the three numbers that `cost.fitted` finds
 # of the device's memory for parameters and moments: frames take as much again, photos a quarter,
 # and growth holds a part of the model twice for a moment
 MODEL_SHARE = 0.27
-COARSE_NOTE = "the coarse run, which tell it to a factor of two"
-DEVICES = (2, 3, 8)  # for which the end of the blocks is foretold
 LEAST_JOINT_STEPS = 450  # fewer are not worth it
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
 
@@ -100,59 +91,6 @@ def scale_table(planned: Planned, forecast: Forecast, device: Device, photos: It
         "The coarse run is on one device.",))
 
 
-def makespan(work: Iterable[float], workers: int) -> float:
-    """When the last of `workers` ends, if each takes the longest task that is left (Graham 1969).
-    """
-    ends = [0.0] * workers
-    for task in sorted(work, reverse=True):
-        heapq.heapreplace(ends, ends[0] + task)
-    return max(ends)
-
-
-def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) -> Table:
-    """The start of each block of a city, and a forecast of its device memory and time.
-
-    The largest block is planned, the others in proportion to it: the time of a step is taken as
-    equal, since blocks see parts of photos of about the same size. `device` : None: there is no
-    forecast, only how the steps spread over workers; `counts` : [B], gaussians that blocks own."""
-    records = [(block, block.read("own", "margin", "surroundings", "views"))
-               for block in city.blocks()]
-    steps = [record["options"]["iterations"] for _, record in records]
-    rows: list[tuple[str, ...]] = [
-        (block.path.name, f"{count:,}", f"{record['margin']:,}", f"{record['surroundings']:,}",
-         f"{record.get(DENSE, 0):,}", f"{record['views']}",
-         f"{taken:,}")
-        for (block, record), count, taken in zip(records, counts, steps)]
-    head: tuple[str, ...] = ("block", "gaussians", "margin", "around", "dense",
-                             "views", "steps")
-    note = ("Gaussians: of the coarse run; around: those that the block holds without training "
-            "them; dense: those that begin at dense points, in gaps of the "
-            "coarse model (--init sfm leaves them out).")
-    ends = {workers: makespan(steps, workers) for workers in DEVICES}
-    if device is None:
-        shares = ", ".join(f"{end / sum(steps):.0%} on {workers}" for workers, end in ends.items())
-        return Table("Blocks", head, rows, range(1, 7), (
-            f"{note} The last block ends after about this share of the time that all blocks take "
-            f"on one device: {shares} (--workers).",))
-    initial = [sum(record[key] for key in ("own", "margin", "surroundings"))
-               + record.get(DENSE, 0) for _, record in records]
-    largest = records[initial.index(max(initial))][0]
-    known = coarse_steps(city, device)
-    block, options = BlockScene.read(largest), block_options(largest)
-    planned = Planned(block.scene, options, device, parts=block.parts(options.exposure == "on"))
-    forecast = planned.forecast(known)
-    each = forecast.seconds / 60 / forecast.steps
-    rows = [(*row, f"{forecast.gaussians * count / max(initial):,.0f}",
-             f"{forecast.memory.total * count / max(initial) / MIB:,.0f}", f"{each * taken:.1f}")
-            for row, count, taken in zip(rows, initial, steps)]
-    times = ", ".join(f"{each * end:.1f} on {workers}" for workers, end in ends.items())
-    return Table("Blocks", (*head, "at the end", "MiB", "minutes"), rows, range(1, 10), (
-        f"{note} The number at the end, MiB and minutes are forecasts for a block that has "
-        f"{device.name} to itself, from steps of "
-        f"{COARSE_NOTE if known else f'block {largest.path.name}'}. All blocks take "
-        f"{each * sum(steps):.1f} minutes on one such device, {times} (--workers).",))
-
-
 def trains_jointly(facts: SceneFacts, photos: int, options: ScheduledOptions) -> bool:
     """Whether a city whose model a device holds is trained jointly at the end, if nobody says so.
 
@@ -170,20 +108,3 @@ def one_block_note(options: PartitionOptions, scene: Path) -> str:
         return ""
     return (f"this device holds the whole model in one block: `clsplat train {scene}` trains it in "
             "one stage, which is quicker and as good; --grid cuts it all the same")
-
-
-def coarse_steps(city: CityFolder, device: Device) -> list[tuple[float, float, float]]:
-    """The (pixels, gaussians, seconds) of steps of a city's coarse run, each the mean of those
-    between two records; none where it ran on another device, or has too few records."""
-    run = Run.open(city.coarse)
-    if (run.record.get("opencl_device"), run.record.get("kernel_form")) != (device.name,
-                                                                           device.form):
-        return []
-    views = run.scene().views
-    records = [record for record in run.folder.past_records() if record["event"] == "step"]
-    steps = [(pixels(views, record["level"]), float(record["gaussians"]),
-              (record["train_seconds"] - before["train_seconds"])
-              / (record["iteration"] - before["iteration"]))
-             for before, record in pairwise(records) if before["level"] == record["level"]]
-    steps = [step for step in steps if step[2] > 0]
-    return steps if len(steps) >= LEAST_MEASURED else []

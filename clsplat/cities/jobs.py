@@ -24,12 +24,6 @@ from clsplat.io.lock import LockTaken, exclusive
 from clsplat.training.progress import SilentProgress
 
 HERE = "this machine"
-GRACE_SECONDS = 120  # for an interrupted worker to save its state
-
-
-def never() -> bool:
-    """What never stops a job."""
-    return False
 
 
 @dataclass(frozen=True)
@@ -58,7 +52,7 @@ class Job:
         return self.done is not None and self.done.exists()
 
     def run(self, device: Device, progress: SilentProgress | None = None,
-            stopping: Callable[[], bool] = never) -> Any:
+            stopping: Callable[[], bool] = lambda: False) -> Any:
         """Do the work; the result is pickled. Once `stopping` returns true, save the state and
         raise Interrupted."""
         raise NotImplementedError

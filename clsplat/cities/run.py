@@ -6,18 +6,17 @@
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from clsplat.cities.block import reason_of, train_blocks
-from clsplat.cities.city import City, find_dense_gaussians, train_coarse
+from clsplat.cities.block import train_blocks
+from clsplat.cities.city import City, Shown, find_dense_gaussians, train_coarse
 from clsplat.cities.cluster import connected
-from clsplat.cities.cut import cut_into_blocks, draw, requested_of
+from clsplat.cities.cut import cut_into_blocks, requested_of
 from clsplat.cities.finish import evaluate_city, merge_city_tree, merged_city, reference_file
 from clsplat.cities.forecast import (
-    block_table,
     expected_gaussians,
     facts_of_whole,
     gaussians_that_fit,
@@ -25,7 +24,7 @@ from clsplat.cities.forecast import (
     trains_jointly,
 )
 from clsplat.cities.merge import Merged
-from clsplat.cities.workers import Outcome, Workers
+from clsplat.cities.workers import Workers
 from clsplat.config.option import is_auto
 from clsplat.device import choose_device
 from clsplat.errors import InputError, Interrupted
@@ -35,26 +34,11 @@ from clsplat.options import TrainOptions
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 from clsplat.scene import Scene
 from clsplat.training.photos import size_note
-from clsplat.training.progress import SilentProgress
 
 STARTS = ("sfm", "dense")  # of a city's blocks: the coarse model, or dense points in its gaps too
 STEPS = ("joint_steps", "exchanges", "block_steps")  # options that a city keeps once it is cut
 # where several blocks share a GPU: at most so many, with so many cores of the host for each
 MOST_SHARING, CORES_SHARING = 4, 4
-
-
-class Shown:
-    """Receives what a city does, and shows nothing; a subclass shows it."""
-
-    def stage(self, title: str) -> AbstractContextManager[SilentProgress | None]:
-        """The progress of a stage, such as "coarse run" or "block 2 of 9"."""
-        return nullcontext()
-
-    def line(self, text: str) -> None:
-        """A line, or a table, that stays."""
-
-    def failure(self, text: str) -> None:
-        """A line about a block that failed, or an option without effect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,32 +55,18 @@ def city(scene: Scene, options: TrainOptions, output: Path, *,
          partition: Mapping[str, Any] | None = None, workers: int | None = None,
          devices: Sequence[str] = (), scheduler: str = "", fill: bool = False,
          against: Path | None = None, tree: bool = False, shown: Shown | None = None) -> Finished:
-    """Train a large scene in blocks, and merge them.
+    """Train a large scene in blocks, and merge them; see `clsplat.city` for the other arguments.
 
     The stages are a coarse run, partition, training of the blocks, merge, joint training and
-    evaluation. After any failure, the same call continues. With several workers a script needs
-    `if __name__ == "__main__":`, as its processes import it.
+    evaluation. After any failure, the same call continues.
 
     Parameters
     ----------
-    scene : as it was read.
-    options : of the whole.
-    output : the folder of the city.
-    partition : fields of PartitionOptions, by name; others are chosen.
-    workers : how many blocks are trained at a time on this machine; None: one for each device, or
-        as many as share a GPU well. With a scheduler: for how many workers to cut.
-    devices : names of devices, as in `clsplat devices`; none: that of `options`.
-    scheduler : address of a Dask scheduler, whose workers train the blocks.
-    fill : whether the coarse model's gaussians are used if a block fails.
     against : a run of the whole scene, or its PLY, as the reference for seams; None: the coarse
         model.
     tree : merge into a tree of levels of detail, with one block at a time in memory; nothing is
         evaluated.
     shown : receives what is being done.
-
-    Returns
-    -------
-    The merged city; its folder is a run like any other.
 
     Raises
     ------
@@ -124,36 +94,13 @@ def city(scene: Scene, options: TrainOptions, output: Path, *,
             if note:
                 shown.line(note)
         with _stopped_at(folder):
-            _train(whole, cutting, all_, fill, shown)
+            with shown.stage("coarse run") as progress:
+                train_coarse(whole, progress, cutting.joint_steps > 0)
+            with shown.stage("start of blocks") as progress:
+                find_dense_gaussians(whole, progress)
+            shown.line(cut_into_blocks(whole, cutting).text())
+            train_blocks(folder, all_, whole.device, shown, fill)
         return merge_city(whole, fill, reference, tree, shown=shown)
-
-
-def _train(city: City, cutting: PartitionOptions, workers: Workers, fill: bool, shown: Shown
-           ) -> None:
-    """The coarse run, the partition and the blocks; arguments as for `city`."""
-    with shown.stage("coarse run") as progress:
-        train_coarse(city, progress, cutting.joint_steps > 0)
-    with shown.stage("start of blocks") as progress:
-        find_dense_gaussians(city, progress)
-    folder = city.folder
-    partition, counts = cut_into_blocks(city, cutting)
-    # trial steps would keep the other devices waiting
-    shown.line(block_table(folder, None if workers.several else city.device, counts).text())
-
-    def began(title: str, name: str) -> None:
-        if workers.several:
-            shown.line(f"{title}: training in blocks/{name}")
-
-    def ended(title: str, outcome: Outcome) -> None:
-        shown.line(f"{title} (blocks/{outcome.job.block.path.name}): "
-                   f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
-
-    draw(folder, partition, city.scene, counts)
-    outcomes = train_blocks(folder, workers, city.device, shown.stage, ended, began, fill)
-    for outcome in outcomes:
-        if not outcome.ok:
-            shown.failure(f"block {outcome.job.block.path.name} failed on {outcome.worker}: "
-                          f"{reason_of(outcome)}")
 
 
 def cut_city(folder: CityFolder, partition: Mapping[str, Any], scene_path: Path | None = None
@@ -168,9 +115,7 @@ def cut_city(folder: CityFolder, partition: Mapping[str, Any], scene_path: Path 
         city = City.open(folder, scene_path)
         cutting = chosen_partition(partition, city)
         find_dense_gaussians(city)
-        cut, counts = cut_into_blocks(city, cutting)
-        draw(folder, cut, city.scene, counts)
-        return block_table(folder, city.device, counts).text()
+        return cut_into_blocks(city, cutting).text()
 
 
 def merge_city(city: City, fill: bool = False, reference: Path | None = None, tree: bool = False,

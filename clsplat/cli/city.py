@@ -25,7 +25,8 @@ from clsplat.errors import InputError
 from clsplat.partition.options import PartitionOptions
 
 if TYPE_CHECKING:
-    from clsplat.cities.run import Finished, Shown
+    from clsplat.cities.city import Shown
+    from clsplat.cities.run import Finished
     from clsplat.io.runs.city import CityFolder
 
 BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
@@ -145,7 +146,7 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
 
 def _shown(quiet: bool, stop_at: int) -> Shown:
     """What prints the stages of a city, and what fails, and unless `quiet` all else."""
-    from clsplat.cities.run import Shown
+    from clsplat.cities.city import Shown
     from clsplat.cli.progress import Progress
     from clsplat.training.progress import SilentProgress
 

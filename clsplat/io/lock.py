@@ -80,18 +80,3 @@ def holder(folder: Path) -> str:
         record = json.loads((Path(folder) / HOLDER).read_bytes())
         return f"process {record['process']} on {record['host']}, since {record['since']},"
     return "another process"
-
-
-def note_work(folder: Path) -> None:
-    """Note in a locked folder that its process does not hang."""
-    with suppress(OSError):
-        os.utime(Path(folder) / HOLDER)
-
-
-def latest_change(folder: Path) -> int:
-    """When a file of a folder was last written, or work was noted, by the clock of the file system;
-    0 if there is none."""
-    with suppress(OSError), os.scandir(folder) as entries:
-        return max((entry.stat().st_mtime_ns for entry in entries
-                    if entry.name != LOCK), default=0)  # some versions of filelock write it
-    return 0

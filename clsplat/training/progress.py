@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import sys
-import time
 from contextlib import suppress
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from clsplat.io.lock import note_work
 from clsplat.schedule.plan import size_at
 
 if TYPE_CHECKING:
     from clsplat.training.session import Session
 
 WARNING = "warning: "  # begins a message that is always shown
-NOTE_SECONDS = 10.0
 
 
 def training_at(level: float) -> str:
@@ -38,31 +34,6 @@ class SilentProgress:
 
     def phase(self, text: str) -> None:
         """Show what is being done now."""
-
-
-class NotedProgress(SilentProgress):
-    """Passes everything on to `shown`, and notes in a run's locked folder that its process does not
-    hang."""
-
-    def __init__(self, folder: Path, shown: SilentProgress) -> None:
-        self._folder, self._shown, self._noted = folder, shown, time.monotonic()
-
-    def __call__(self, **values: Any) -> None:
-        self._note()
-        self._shown(**values)
-
-    def message(self, text: str) -> None:
-        self._note()
-        self._shown.message(text)
-
-    def phase(self, text: str) -> None:
-        self._note()
-        self._shown.phase(text)
-
-    def _note(self) -> None:
-        if time.monotonic() - self._noted >= NOTE_SECONDS:
-            self._noted = time.monotonic()
-            note_work(self._folder)
 
 
 class Watcher(Protocol):

@@ -11,7 +11,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from clsplat.cities import jobs
 from clsplat.cities.jobs import Job
 from clsplat.cities.workers import Workers
 from clsplat.errors import ClsplatError, InputError, Interrupted, OutOfDeviceMemory
@@ -33,9 +32,8 @@ class Steps(Job):
     failures: int = 0
     fault: str = "bug"
     says: str = ""
-    forgets: bool = False
 
-    def run(self, device, progress=None, stopping=jobs.never):
+    def run(self, device, progress=None, stopping=lambda: False):
         with exclusive(self.folder, 30):
             note(self.folder / STARTS, os.getpid(), device.name.replace(" ", "_"),
                  os.environ.get("CLSPLAT_DEVICE", "-"), os.environ.get("POCL_CACHE_DIR", "-"))
@@ -57,8 +55,7 @@ class Steps(Job):
             if step < self.steps:
                 raise Interrupted("saved")
             note(self.folder / ENDS)
-            if not self.forgets:
-                (self.folder / DONE).touch()
+            (self.folder / DONE).touch()
             return step
 
 

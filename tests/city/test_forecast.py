@@ -1,4 +1,4 @@
-"""How many gaussians a city is expected to have, when its blocks end, and what larger ones take."""
+"""How many gaussians a city is expected to have, and what larger ones take."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -6,14 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import clsplat.cities.forecast as forecast_module
 import clsplat.cities.run as city_module
-from clsplat.camera import Camera
 from clsplat.cities.city import City
 from clsplat.cities.forecast import (
     PIXELS_PER_GAUSSIAN,
-    block_table,
-    coarse_steps,
     expected_gaussians,
     facts_of_whole,
     gaussians_that_fit,
@@ -27,7 +23,6 @@ from clsplat.io.runs.city import CityFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
-from clsplat.scene import View
 from tests.city.test_city import a_card
 from tests.data.tiny_training import CITY
 
@@ -77,42 +72,6 @@ def test_workers_share_the_devices_that_are_named(tmp_path, monkeypatch, flags, 
     with pytest.raises(SystemExit) as ended:
         main(["city", str(CITY), "-o", str(tmp_path / "city"), "-q", *flags])
     assert ended.value.code == 2 and not (tmp_path / "city").exists()
-
-
-def test_the_end_of_the_blocks_on_several_devices_follows_from_their_steps():
-    def block(number, steps):
-        record = {"own": 10, "margin": 4, "surroundings": 0, "views": 8,
-                  "options": {"iterations": steps}}
-        return SimpleNamespace(path=Path(f"{number:03d}"), read=lambda *_: record)
-
-    city = SimpleNamespace(blocks=lambda: [block(n, 100 * n) for n in (1, 2, 3, 4)])
-    table = block_table(city, None, [10] * 4)
-    assert table.rows[3] == ("004", "10", "4", "0", "0", "8", "400") and len(table.rows) == 4
-    assert "50% on 2, 40% on 3, 40% on 8 (--workers)" in table.notes[0]
-
-
-def test_steps_of_the_coarse_run_are_known_on_its_device(monkeypatch):
-    def step(iteration, seconds, level, count):
-        return {"event": "step", "iteration": iteration, "train_seconds": seconds, "level": level,
-                "gaussians": count}
-
-    records = [step(1, 1.0, 2.0, 90), {"event": "grow"}, step(101, 3.0, 2.0, 100),
-               step(201, 6.0, 1.0, 110),  # a change of level: reading photos is not a step
-               step(301, 7.0, 1.0, 120), step(401, 7.0, 1.0, 130), step(501, 8.5, 1.0, 140)]
-    camera = Camera(100, 50, (80.0, 80.0), (50.0, 25.0), np.eye(3), np.zeros(3))
-    run = SimpleNamespace(record={"opencl_device": "a card", "kernel_form": "group"},
-                          scene=lambda: SimpleNamespace(views=[View("a", camera, b"")]),
-                          folder=SimpleNamespace(past_records=lambda: records))
-    monkeypatch.setattr(forecast_module, "Run", SimpleNamespace(open=lambda _: run))
-    city = SimpleNamespace(coarse=Path("coarse"))
-
-    def known(name="a card", form="group"):
-        return coarse_steps(city, SimpleNamespace(name=name, form=form))
-
-    assert known() == [(1250.0, 100.0, 0.02), (5000.0, 120.0, 0.01), (5000.0, 140.0, 0.015)]
-    assert known("another") == known(form="item") == []
-    del records[-1]
-    assert known() == [], "two steps do not tell three numbers"
 
 
 def test_a_scene_that_fits_in_one_block_needs_no_city():

@@ -15,7 +15,7 @@ import clsplat
 from clsplat.cities import cluster
 from clsplat.cities.cluster import Cluster
 from clsplat.cities.jobs import HERE, Lost
-from clsplat.cities.workers import LOG, MOST_LOSSES, Workers
+from clsplat.cities.workers import LOG, MOST_TRIES, Workers
 from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.io.lock import exclusive
 from tests.city.jobs_driver import (
@@ -86,34 +86,23 @@ def test_jobs_run_in_order_and_once(tmp_path):
 @pytest.mark.parametrize("error, tries, message", [
     (InputError("no photos: add some"), 1, "no photos: add some"),
     (OutOfDeviceMemory("no memory"), 1, "no memory"),
-    (ValueError("a bug"), 3, "a bug"), (None, 3, "did not write")])
+    (ValueError("a bug"), MOST_TRIES, "a bug"), (Lost("it died"), MOST_TRIES, "it died")])
 def test_failures_are_reported_and_the_other_jobs_run(tmp_path, error, tries, message):
     def here(job):
         if job.name == "001":
             job.done.touch()
-        elif error:
+        else:
             raise error
 
     bad, good = run(some_jobs(tmp_path, 2), here=here)
     assert good.ok and not bad.ok
     assert bad.tries == tries and message in str(bad.error)
-    assert error is None or bad.error is error
+    assert bad.error is error
 
 
 def test_a_number_of_workers_below_one_is_refused():
     with pytest.raises(InputError, match="expects 1 to 1024"):
         Workers(0)
-
-
-def test_a_job_that_loses_its_worker_is_tried_again_until_the_limit(tmp_path):
-    tries = []
-
-    def here(job):
-        tries.append(job)
-        raise Lost("it died")
-
-    [outcome] = run(some_jobs(tmp_path, 1), here=here, retries=0)
-    assert len(tries) == MOST_LOSSES == outcome.tries and str(outcome.error) == "it died"
 
 
 def test_a_job_begins_after_those_that_it_needs(tmp_path):
@@ -169,7 +158,7 @@ def test_a_process_is_replaced_after_a_failure_and_when_it_dies(tmp_path):
         assert first.ok and second.ok and len(set(processes_of(plain))) == 1
         assert [line for line in lines(plain[0], LOG) if line[:3] != "---"] == ["hello from 000"]
         [died], [failed], [memory] = (workers.run(each, None) for each in (dies, fails, refused))
-        workers._pool.all[0]._executor.submit(os._exit, 1).exception()  # while it has no job
+        workers._pool.all[0].executor.submit(os._exit, 1).exception()  # while it has no job
         [last] = workers.run(some_jobs(tmp_path / "last", 1), None)
     assert died.ok and died.tries == 2 == starts(died.job)
     assert failed.ok and failed.tries == 3 == starts(failed.job)
