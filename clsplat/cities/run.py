@@ -15,7 +15,6 @@ from clsplat.cities.block import train_blocks
 from clsplat.cities.city import City, Shown, find_dense_gaussians, train_coarse
 from clsplat.cities.cluster import connected
 from clsplat.cities.cut import cut_into_blocks, requested_of
-from clsplat.cities.finish import evaluate_city, merge_city_tree, merged_city, reference_file
 from clsplat.cities.forecast import (
     expected_gaussians,
     facts_of_whole,
@@ -23,7 +22,13 @@ from clsplat.cities.forecast import (
     one_block_note,
     trains_jointly,
 )
-from clsplat.cities.merge import Merged
+from clsplat.cities.merge import (
+    Merged,
+    evaluate_city,
+    merge_city_tree,
+    merged_city,
+    reference_file,
+)
 from clsplat.cities.workers import Workers
 from clsplat.config.option import is_auto
 from clsplat.device import choose_device
@@ -119,19 +124,13 @@ def cut_city(folder: CityFolder, partition: Mapping[str, Any], scene_path: Path 
 
 
 def merge_city(city: City, fill: bool = False, reference: Path | None = None, tree: bool = False,
-               joint: bool = True, shown: Shown | None = None) -> Finished:
-    """Merge the finished blocks of a city, train the whole jointly, and evaluate it.
-
-    Parameters
-    ----------
-    fill, tree, shown : as for `city`.
-    reference : the PLY of the reference for seams; None: the coarse model.
-    joint : whether there is a joint training, if the partition includes it.
-    """
+               shown: Shown | None = None) -> Finished:
+    """Merge the finished blocks of a city, train the whole jointly, and evaluate it; arguments as
+    for `city`, `reference` : as `reference_file` returns it."""
     if tree:
         return Finished(merge_city_tree(city, fill))
     with _stopped_at(city.folder), (shown or Shown()).stage("joint training") as progress:
-        merged = merged_city(city, fill, progress, joint)
+        merged = merged_city(city, fill, progress)
     return Finished(merged, True, *evaluate_city(city, merged, reference))
 
 

@@ -38,35 +38,19 @@ LEAST_PIXELS = 500  # of a strip, and of the rest of a view; fewer are too noisy
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """Two blocks that share a face, in coordinates of the partition's space.
+    """The strip, from `low` [3] to `high` [3] in coordinates of the partition's space, at the face
+    that two blocks share."""
 
-    Attributes
-    ----------
-    first, second : the blocks, `first` on the low side of the face.
-    axis, at : across the face, and where it is.
-    low, high : float64[3], the strip.
-    """
-
-    first: int
-    second: int
-    axis: int
-    at: float
+    blocks: tuple[int, int]
     low: np.ndarray
     high: np.ndarray
-
-    def side(self, coordinates: NDArray[np.float64]) -> NDArray[np.int8]:
-        """[N]: for coordinates [N, 3], -1 in the first half of the strip, 1 in the second, else 0.
-        """
-        within = ((coordinates >= self.low) & (coordinates < self.high)).all(axis=1)
-        half = np.where(coordinates[:, self.axis] < self.at, -1, 1)
-        return np.where(within, half, 0).astype(np.int8)
 
     def pixels(self, coordinates: NDArray[np.float64]) -> NDArray[np.int64]:
         """[K]: the indices of those of a picture's coordinates [N, 3] that are in the strip."""
         if not len(coordinates) or (coordinates.max(axis=0) < self.low).any() or (
                 coordinates.min(axis=0) >= self.high).any():
             return np.empty(0, np.int64)  # most borders of a city are not in the picture
-        return np.flatnonzero(self.side(coordinates))
+        return np.flatnonzero(((coordinates >= self.low) & (coordinates < self.high)).all(axis=1))
 
 
 def find_borders(partition: Partition) -> list[Border]:
@@ -75,15 +59,13 @@ def find_borders(partition: Partition) -> list[Border]:
     low, high = (np.array([getattr(region, end) for region in regions]) for end in ("low", "high"))
     borders = []
     for axis in range(3):
-        for first, second in np.argwhere(high[:, None, axis] == low[None, :, axis]):
+        for first, second in np.argwhere(high[:, None, axis] == low[None, :, axis]).tolist():
             begin, end = np.maximum(low[first], low[second]), np.minimum(high[first], high[second])
-            begin[axis] = end[axis] = at = high[first, axis]
             thickness = min(region.side[axis] * (region.margin or STRIP)
                             for region in (regions[first], regions[second]))
-            begin[axis] -= thickness
-            end[axis] += thickness
+            begin[axis], end[axis] = high[first, axis] + np.array([-thickness, thickness])
             if (begin < end).all():
-                borders.append(Border(int(first), int(second), axis, float(at), begin, end))
+                borders.append(Border((first, second), begin, end))
     return borders
 
 
@@ -143,8 +125,7 @@ def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequen
         for number, of_view in found:
             errors[number].append(of_view)
     scores = [_scores(of_border) for of_border in errors]
-    records = [{"blocks": [border.first, border.second], **each}
-               for border, each in zip(borders, scores)]
+    records = [{"blocks": list(border.blocks), **each} for border, each in zip(borders, scores)]
     seams = [record["seam_db"] for record in records if record["seam_db"] is not None]
     return {"borders": records, "views": len(views), "worst_seam_db": max(seams, default=None),
             "seam_db": scores[-1]["seam_db"]}

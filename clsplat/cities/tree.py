@@ -8,18 +8,13 @@ block, and of the others only their tops.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.cities.merge import Merged, merge
 from clsplat.edit.decimate import decimated
 from clsplat.edit.select import TAIL_SHARE, mean_sigma, merged, parted, selected
 from clsplat.gaussians import Gaussians
-from clsplat.io.models.tree import TreeWriter, writing_tree
-from clsplat.io.runs.city import CityFolder
-from clsplat.scene import Scene
+from clsplat.io.models.tree import TreeWriter
 
 CELL = 2048  # gaussians of a leaf at most
 ROUNDS = 2  # of halving, after which a node above replaces four
@@ -78,17 +73,3 @@ def facts_of(content: Gaussians) -> dict[str, ArrayLike]:
     return {"low": positions.min(axis=0), "high": positions.max(axis=0), "usual_low": usual[0],
             "usual_high": usual[1], "largest": np.exp(float(content.log_scales.max())),
             "sigma": mean_sigma(content)}
-
-
-def merge_tree(path: Path, city: CityFolder, scene: Scene, sh_degree: int, fill: bool = False
-               ) -> Merged:
-    """Merge the finished blocks of a city into a tree, and return what `merge` does.
-
-    The file is replaced as a whole; other arguments and errors as for `merge` and `Merged.check`.
-    """
-    with writing_tree(path, sh_degree, scene.offset) as writer:
-        builder = TreeBuilder(writer)
-        result = merge(city, scene, fill, builder.add)
-        result.check()
-        builder.finish()
-    return result

@@ -115,22 +115,20 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
 @click.option("--against", type=click.Path(path_type=Path), help="A run of the whole scene, or its "
               "PLY, as the reference for seams, in place of the coarse model.")
 @click.option("--tree", is_flag=True, help=TREE_HELP)
-@click.option("--joint/--no-joint", default=True, show_default=True, help="Train the merged model "
-              "as a whole, where the partition of the city includes that (--joint-steps).")
 @click.option("--device", default="auto", show_default=True,
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 @click.option("--scene", type=click.Path(path_type=Path), help="Where the scene is now, if it was "
               "moved.")
 @click.pass_context
 def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tree: bool,
-          joint: bool, device: str, scene: Path | None) -> None:
+          device: str, scene: Path | None) -> None:
     """Merge the finished blocks of CITY into one model.
 
     That may then be trained as a whole, and is evaluated on the held-out views. If blocks are
     missing, the command lists them and ends with exit code 2.
     """
     from clsplat.cities.city import City
-    from clsplat.cities.finish import reference_file
+    from clsplat.cities.merge import reference_file
     from clsplat.cities.run import merge_city
     from clsplat.io.runs.city import CityFolder
     from clsplat.io.runs.run import RunFolder
@@ -139,8 +137,7 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
     reference = reference_file(against, tree)
     ctx.with_resource(RunFolder(folder).locked())
     whole = City.open(city, scene, device)
-    finished = merge_city(whole, fill, reference, tree, joint,
-                          _shown(False, whole.options.stop_at))
+    finished = merge_city(whole, fill, reference, tree, _shown(False, whole.options.stop_at))
     _print(city, finished, against, quiet=False)
 
 
@@ -166,7 +163,7 @@ def _shown(quiet: bool, stop_at: int) -> Shown:
 
 def _print(folder: CityFolder, finished: Finished, against: Path | None, quiet: bool) -> None:
     """Print what a finished city is."""
-    from clsplat.cities.finish import merge_record
+    from clsplat.cities.merge import merge_record
     from clsplat.cli.evaluate import summary
     from clsplat.io.models.tree import TREE
     from clsplat.report.city import seam_table, share_table

@@ -4,16 +4,12 @@
 import numpy as np
 import pytest
 
-from clsplat.cities.city import City
-from clsplat.cities.finish import begin_with, train_jointly
 from clsplat.cities.merge import merge
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import start_comment, write_ply
-from clsplat.io.records import digest_of
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
-from clsplat.options import resolve
 from clsplat.partition.region import Partition, Region, Space
 from tests.data.tiny_training import CITY
 
@@ -96,15 +92,3 @@ def test_whole_blocks_exchanged_are_refused(city, scene):
     exchanged(city.block(0).path, city.block(1).path)
     with pytest.raises(InputError, match="two partitions are mixed"):
         merge(city, scene)
-
-
-def test_a_joint_training_of_another_city_is_refused(city, scene):
-    merged = merge(city, scene)
-    city.write_partition({**city.read_partition(), "joint": {"iterations": 9}})
-    whole = City(city, scene, resolve({}, {}), None)
-    begin_with(whole, merged.gaussians)
-    save(city.joint, merged.gaussians, scene, "0" * 64)
-    with pytest.raises(InputError, match="joint training of another city"):
-        train_jointly(whole, merged)
-    save(city.joint, merged.gaussians, scene, digest_of(city.joint_start))
-    assert train_jointly(whole, merged).count == merged.count

@@ -10,11 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clsplat.cities import finish
+from clsplat.cities import merge as merging
 from clsplat.cities.city import City, train_coarse
 from clsplat.cities.cut import JOINT
-from clsplat.cities.finish import begin_with, joint_options, merged_city
-from clsplat.cities.merge import Merged
+from clsplat.cities.merge import Merged, begin_with, joint_options, merged_city
 from clsplat.cities.run import chosen_partition
 from clsplat.device import choose_device
 from clsplat.errors import DeviceError, InputError, Interrupted, OutOfDeviceMemory
@@ -25,7 +24,7 @@ from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.training.interrupt import handled_interrupts
 from clsplat.training.loop import train
-from tests.city.test_city import DEVICE, city, command, model
+from tests.city.test_city import DEVICE, city, model
 from tests.city.test_merge import strewn
 from tests.data.tiny_training import CITY
 
@@ -159,7 +158,7 @@ def test_a_device_that_cannot_hold_the_whole_leaves_it_as_merged(
     blocks = Merged(merged, (), {}, folder.path)
     for name, value in (("merge", lambda *_: blocks), ("train_jointly", fails),
                         ("_note_merge", lambda *_: None)):
-        monkeypatch.setattr(finish, name, value)
+        monkeypatch.setattr(merging, name, value)
     if error is DeviceError:
         with pytest.raises(error):
             merged_city(whole_of(folder))
@@ -183,7 +182,7 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     assert whole.count == end.count
     assert np.array_equal(np.sort(whole.positions, axis=0), np.sort(end.positions, axis=0))
     owner = trained.partition().owner(whole.positions.astype(float) + offset)
-    shares = finish.merge_record(trained)["blocks"]
+    shares = merging.merge_record(trained)["blocks"]
     assert owner.tolist() == [0] * shares[0]["gaussians"] + [1] * shares[1]["gaussians"]
     assert not np.array_equal(read_ply(trained.joint_start, offset).positions, whole.positions)
     parts = [RunFolder.open(path).records()[-1] for path in (
@@ -196,20 +195,6 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     assert "as a whole for 30 steps" in page
     assert "overlap" not in page  # the blocks' own gaussians are not shown
     assert not any(record["event"] == "eval" for record in RunFolder(trained.coarse).records())
-
-
-@pytest.mark.slow
-def test_it_can_be_left_out_of_a_merge(trained, tmp_path):
-    shutil.copytree(trained.path, tmp_path / "city", symlinks=True)
-    copy, before = CityFolder(tmp_path / "city"), model(trained)
-    command("merge", copy.path, "--no-joint", "--device", DEVICE)
-    start, whole = read_ply(copy.joint_start), read_ply(copy.path / "point_cloud.ply")
-    assert np.array_equal(start.positions, whole.positions)
-    assert "trained as a whole" not in (copy.path / "report.html").read_text()
-    spent = [finish.merge_record(each)["iteration"] for each in (trained, copy)]
-    assert spent[0] - spent[1] == 30
-    command("merge", copy.path, "--device", DEVICE)
-    assert model(copy) == before
 
 
 @pytest.mark.slow

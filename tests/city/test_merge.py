@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from clsplat.cities.city import City
-from clsplat.cities.finish import merged_city
-from clsplat.cities.merge import joined, merge
+from clsplat.cities.merge import joined, merge, merged_city
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.models.ply import read_ply, write_ply

@@ -46,32 +46,25 @@ BISECTED = [([-INF, -INF], [-0.2, INF]), ([-0.2, -INF], [INF, 0.4]), ([-0.2, 0.4
 
 
 @pytest.mark.parametrize("cells, pairs", [
-    (QUARTERS, {(0, 1, 0), (2, 3, 0), (0, 2, 1), (1, 3, 1)}),
-    (BISECTED, {(0, 1, 0), (0, 2, 0), (1, 2, 1)}),
+    (QUARTERS, {(0, 1), (2, 3), (0, 2), (1, 3)}), (BISECTED, {(0, 1), (0, 2), (1, 2)}),
     ([([-INF, -INF], [INF, INF])], set())])
 def test_neighbours_share_a_face_and_each_pair_comes_once(cells, pairs):
     """Cells that only touch at an edge are no neighbours."""
     found = find_borders(boxes(cells))
-    assert {(border.first, border.second, border.axis) for border in found} == pairs
-    assert len(found) == len(pairs)
+    assert {border.blocks for border in found} == pairs and len(found) == len(pairs)
 
 
-def test_the_halves_of_a_strip_are_one_size_and_on_their_blocks_sides():
+def test_a_strip_is_owned_and_reached_by_its_two_blocks():
     partition = boxes(BISECTED)
     points = np.random.default_rng(0).uniform(-15, 15, (20000, 3))
     coordinates, owner = partition.space.to(points), partition.owner(points)
     reached = [region.reaches(points) for region in partition.regions]
     for border in find_borders(partition):
-        side = border.side(coordinates)
-        assert set(np.unique(side)) == {-1, 0, 1}
-        assert (owner[side == -1] == border.first).all()
-        assert (owner[side == 1] == border.second).all()
-        for block in (border.first, border.second):  # both have trained all of it
-            assert reached[block][side != 0].all()
-        low, high = border.at - border.low[border.axis], border.high[border.axis] - border.at
-        assert low == pytest.approx(high)
+        inside = border.pixels(coordinates)
+        assert set(owner[inside].tolist()) == set(border.blocks)
+        assert all(reached[block][inside].all() for block in border.blocks)
     between = find_borders(partition)[0]  # sides of 0.8 and 1.2
-    assert between.high[0] - between.at == pytest.approx(0.1 * 0.8)
+    assert between.high[0] - between.low[0] == pytest.approx(2 * 0.1 * 0.8)
 
 
 # --- the report, on the sample city with a model that is known
