@@ -53,12 +53,18 @@ def run_campaign(train_one: Callable[[Path, TrainOptions | None], object],
     `train_one` trains a run into a folder; without options it resumes it. InputError at the end for
     runs that failed, or whose folder holds a run with other options; others are trained.
     """
+    from clsplat.io.runs.run import RunFolder
     finished, failed = [], []
     for number, options in enumerate(runs, 1):
         folder = output / f"{options.schedule}.{options.seed}"
+        run = RunFolder(folder)
         click.echo(f"[{number}/{len(runs)}] {folder}")
         try:
-            go_on(train_one, folder, options)
+            for name, old, new in differences(run.read_options(), options) if run.is_begun else ():
+                raise InputError(f"{folder}: holds a run with {name} {old}, not {new}; choose "
+                                 "another -o, or remove that folder")
+            if not (run.is_begun and run.is_finished):
+                train_one(folder, None if run.has_checkpoint else options)
             finished.append(folder)
         except Interrupted as error:
             raise Interrupted(f"{error}; the same command as before continues the whole campaign"
@@ -73,15 +79,3 @@ def run_campaign(train_one: Callable[[Path, TrainOptions | None], object],
     if failed:
         raise InputError(f"{', '.join(map(str, failed))}: {len(failed)} of {len(runs)} runs "
                          "failed for the reasons above; the same command tries them again")
-
-
-def go_on(train_one: Callable[[Path, TrainOptions | None], object], folder: Path,
-          options: TrainOptions) -> None:
-    """Train a run from its start or its checkpoint, unless it is finished."""
-    from clsplat.io.runs.run import RunFolder
-    run = RunFolder(folder)
-    for name, old, new in differences(run.read_options(), options) if run.is_begun else ():
-        raise InputError(f"{folder}: holds a run with {name} {old}, not {new}; choose another -o, "
-                         "or remove that folder")
-    if not (run.is_begun and run.is_finished):
-        train_one(folder, None if run.has_checkpoint else options)

@@ -150,11 +150,8 @@ def _campaign(scene: Path, output: Path, values: dict[str, Any], flags: dict[str
               ) -> None:
     """Train every schedule with every seed, then compare them."""
     from clsplat.cli.campaign import combinations, run_campaign
-
-    def train_one(folder: Path, options: TrainOptions | None) -> None:
-        _train(scene, folder, options, {}, True, quiet, up)
-
-    run_campaign(train_one, combinations(values, flags, schedules, seeds), output)
+    run_campaign(lambda folder, options: _train(scene, folder, options, {}, True, quiet, up),
+                 combinations(values, flags, schedules, seeds), output)
 
 
 def resumed_options(record: dict[str, Any], flags: dict[str, Any]) -> TrainOptions:

@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.cities import city as cities
 from clsplat.cities.block import BlockTraining
-from clsplat.cli.campaign import go_on
+from clsplat.cli.campaign import run_campaign
 from clsplat.cli.train import resumed_options
 from clsplat.config.option import differences, plain
 from clsplat.errors import InputError, Interrupted
@@ -16,6 +16,7 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
+from clsplat.report import compare
 from clsplat.report.groups import Trained, differing
 from clsplat.training.loop import resume, train
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, options_of, trained
@@ -52,7 +53,10 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
     assert refuses(resumed_options, record, {name: value}) == differs
     run = RunFolder.create(tmp_path / "run")
     run.write_options({"scene": tmp_path, **dataclasses.asdict(here)})
-    assert refuses(go_on, lambda *_: None, run.path, other) == differs
+    place = tmp_path / f"{other.schedule}.{other.seed}"
+    place.symlink_to(run.path)
+    monkeypatch.setattr(compare, "write_comparison", lambda *_: ("", place))
+    assert refuses(run_campaign, lambda *_: None, [other], tmp_path) == differs
     block = SimpleNamespace(folder=run, options=other)  # whose `init` moves
     assert refuses(BlockTraining._check_same, block) == (differs and name != "init")
     city = SimpleNamespace(
