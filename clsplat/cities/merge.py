@@ -340,7 +340,7 @@ def merge_record(city: CityFolder) -> dict[str, Any]:
 
 def _cost(runs: Iterable[RunFolder]) -> dict[str, float]:
     """{iteration, train_seconds, wall_seconds}: sums over runs."""
-    last = [record for run in runs for record in run.past_records()[-1:]]
+    last = [record for run in runs for record in run.records()[-1:]]
     return {key: round(sum(record.get(key) or 0 for record in last), 3) for key in SPENT}
 
 

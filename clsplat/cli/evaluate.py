@@ -56,7 +56,7 @@ def evaluate(run: Path, device: str, images: bool, lpips: Path | None, align: bo
                 folder.add_scores({key: value for key, value in result.items()
                                    if key in PERCEPTUAL or "aligned" in key})
             written = write_report(folder, result["pictures"], opened.scene(scene, whole=True))
-            click.echo(f"pictures: {folder.renders.folder}\n"
+            click.echo(f"pictures: {folder.pictures}\n"
                        f"  from left to right: {', '.join(PANELS)} ({LEGEND})\n"
                        f"report: {written}")
 

@@ -7,7 +7,6 @@ None: all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -149,16 +148,6 @@ class Lpips:
         if np.size(results[0]) != 1:
             raise InputError(f"{self.path}: gives {np.size(results[0])} numbers, not one; {EXPORT}")
         return float(np.reshape(results[0], ()))
-
-
-Metric = Callable[[NDArray[np.floating], NDArray[np.floating], Valid], float]
-METRICS: Mapping[str, Metric] = {"psnr": psnr, "ssim": ssim}  # of every evaluation
-FINAL_METRICS: Mapping[str, Metric] = {**METRICS, "flip": flip}  # of a finished model
-
-
-def final_metrics(lpips: str | PathLike[str] | None = None) -> Mapping[str, Metric]:
-    """FINAL_METRICS, and LPIPS by the network of an ONNX file, unless that is None or ""."""
-    return FINAL_METRICS if not lpips else {**FINAL_METRICS, "lpips": Lpips(lpips)}
 
 
 def fit_colour(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> NDArray[np.float64]:

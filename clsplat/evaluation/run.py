@@ -132,7 +132,7 @@ class Run:
     @property
     def metrics(self) -> list[dict[str, Any]]:
         """The records of metrics.jsonl, each with `event`, `iteration` and `train_seconds`."""
-        return list(self.folder.past_records())
+        return self.folder.records()
 
     @property
     def finished_model(self) -> Gaussians:

@@ -216,10 +216,8 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     def keep(view: View, image: Image, fitted: Image, photo: Image, valid: Valid) -> None:
         error = error_map(fitted, photo, valid) / np.float32(255)
         beside = np.concatenate([photo, image, fitted, error], axis=1)
-        write_image(run.folder.renders.path("test", view.name), beside)
+        write_image(run.folder.picture(view.name), beside)
 
-    if save_images:
-        run.folder.renders.note("test", [view.name for view in views])
     predicted = predicted_responses(scene.views, run.folder.load_exposures())
     result = evaluate_views(*model, views, keep if save_images else None, metrics, predicted,
                             depth_to_align(scene) if align else 0.0)

@@ -1,4 +1,4 @@
-"""Folders that are created for written files, and removed when they are empty."""
+"""Folders that are created for written files, and links to files in them."""
 
 import os
 import shutil
@@ -57,14 +57,3 @@ def link_file(source: Path, place: Path, kind: Literal["symbolic", "hard", "copy
     partial = place.with_name(place.name + PARTIAL)
     shutil.copyfile(source, partial)
     os.replace(partial, place)
-
-
-def remove_files(paths: list[Path], root: Path) -> None:
-    """Remove files below `root`, then the folders that this leaves empty, `root` included."""
-    for path in paths:
-        path.unlink(missing_ok=True)
-        folder = path.parent
-        with suppress(OSError):  # not empty: it stays
-            while folder.is_relative_to(root):
-                folder.rmdir()
-                folder = folder.parent

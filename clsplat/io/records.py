@@ -15,10 +15,11 @@ import numpy as np
 from clsplat.io.atomic import replacing
 
 LARGEST_NUMBER = 1e100  # sums of squares stay finite
+NUMBER = (int, float)
 # the types of keys that are present and not null
 KEYS = (
     (int, ("iteration", "gaussians", "views", "seed")),
-    ((int, float), (
+    (NUMBER, (
         "train_seconds", "wall_seconds", "level", "loss", "l1", "memory_bytes", "peak_bytes",
         "since", "slope", "threshold", "hits", "rounds", "pixel_pairs", "kernel_bytes")),
     (str, ("event", "scene", "scene_absolute", "fingerprint", "opencl_device", "kernel_form",
@@ -32,7 +33,8 @@ SCORES = (*PLAIN, *(f"{name}_aligned" for name in PLAIN), "aligned_degrees", "al
 def object_of(data: bytes) -> dict[str, Any]:
     """Parse a JSON object; ValueError unless its numbers are finite and its text is Unicode."""
     try:
-        table = json.loads(data, parse_constant=_finite, parse_float=_finite)
+        table = json.loads(data, parse_constant=_finite, parse_float=_finite,
+                           parse_int=_integer)
         # only an escape can stand for half a surrogate pair, which no file can hold
         if b"\\ud" in data.lower():
             json.dumps(table, ensure_ascii=False).encode()
@@ -48,17 +50,16 @@ def record_of(data: bytes) -> dict[str, Any]:
     does not write."""
     record = object_of(data)
     scores = SCORES if "event" in record else ()
-    for kinds, keys in (*KEYS, ((int, float), scores)):
+    for kinds, keys in (*KEYS, (NUMBER, scores)):
         for key in keys:
-            value = record.get(key)
-            if value is not None and not _is(value, kinds):
-                raise ValueError(f"{key} is {str(value)[:20]!r}")
+            if not _is(record.get(key), kinds):
+                raise ValueError(f"{key} is {str(record[key])[:20]!r}")
     if record.get("event") in ("step", "level"):
         frequency = record.get("frequency")  # of a step by variant and axis, of a level one number
         values = frequency.values() if isinstance(frequency, dict) else [frequency]
         if isinstance(frequency, dict) != (record["event"] == "step") and frequency is not None:
             raise ValueError("frequency belongs to another event")
-        if not all(value is None or _is(value, (int, float)) for value in values):
+        if not all(_is(value, NUMBER) for value in values):
             raise ValueError("frequency is not a number")
     return record
 
@@ -70,10 +71,7 @@ def write_object(path: Path, record: dict[str, Any], indent: int = 1) -> None:
 
 
 def _is(value: object, kinds: Any) -> bool:
-    if isinstance(value, bool):
-        return False
-    return isinstance(value, kinds) and (
-        not isinstance(value, (int, float)) or abs(value) <= LARGEST_NUMBER)
+    return value is None or isinstance(value, kinds) and not isinstance(value, bool)
 
 
 def _finite(text: str) -> float:
@@ -81,6 +79,11 @@ def _finite(text: str) -> float:
     if not abs(value) <= LARGEST_NUMBER:
         raise ValueError(f"{text} is not a finite number")
     return value
+
+
+def _integer(text: str) -> int:
+    _finite(text)
+    return int(text)
 
 
 def plain(value: Any) -> Any:

@@ -85,8 +85,8 @@ def read_runs(paths: Iterable[str | Path]) -> tuple[list[Trained], Path, list[st
     read, empty = [], []
     for path, run in runs.items():
         name = path.name if path == parent else path.relative_to(parent).as_posix()
-        if run.folder.has_metrics:
-            read.append(Trained(name, run.record, run.metrics, run.folder.has_model))
+        if metrics := run.metrics:
+            read.append(Trained(name, run.record, metrics, run.folder.has_model))
         else:
             empty.append(name)
     if not read:

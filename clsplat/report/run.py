@@ -54,7 +54,7 @@ def write_report(run: RunFolder, pictures: Pictures | None = None, scene: Scene 
     pictures : the beginning of the page.
     scene : at the size of its photos, for the section Survey.
     """
-    options, records = run.read_options(), run.past_records()
+    options, records = run.read_options(), run.records()
     scores = drawn("PSNR and SSIM over training time", score_chart, records)
     sections = (
         pictures_html(pictures), survey_html(scene),

@@ -123,7 +123,7 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     run.rewind(training.session.iteration)
     run.note_scene(scene.path)
     training.evaluator.evaluated_at = max(
-        (record["iteration"] for record in run.past_records() if record.get("event") == "eval"),
+        (record["iteration"] for record in run.records() if record.get("event") == "eval"),
         default=None)
     with training.resumable():
         training.begin()

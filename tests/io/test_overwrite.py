@@ -28,30 +28,22 @@ def overwritten(run):
 
 
 @pytest.mark.parametrize("place", ["renders", "renders/test"])
-def test_a_folder_that_is_a_link_is_not_followed(tmp_path, place):
+def test_a_folder_of_pictures_that_is_a_link_is_not_followed(tmp_path, place):
     run, link, theirs = made(tmp_path / "run"), tmp_path / "run" / place, tmp_path / "theirs"
-    run.renders.note("test", ["level_3.ply", "a.jpg"])
-    names = ("level_3.ply.png", "a.jpg.png", "level_3.ply")
-    files = [theirs / folder / name for folder in (".", "test") for name in names]
     (theirs / "test").mkdir(parents=True)
-    for file in files:
-        file.write_bytes(b"mine")
-    if link.exists():
-        os.rename(link, tmp_path / "before")
+    link.parent.mkdir(exist_ok=True)
     link.symlink_to(theirs)
-    run.renders.note("test", ["level_3.ply", "a.jpg"])  # through the link, as `clsplat eval` does
+    run.picture("a.jpg").write_bytes(b"mine")
     overwritten(run)
-    assert all(file.read_bytes() == b"mine" for file in files) and link.is_symlink()
+    assert [path.read_bytes() for path in theirs.rglob("a.jpg.png")] == [b"mine"]
+    assert link.is_symlink()
 
 
-def test_files_of_the_user_stay(tmp_path):
+def test_files_beside_those_of_the_run_stay(tmp_path):
     run = made(tmp_path / "run")
-    run.renders.note("test", ["a.jpg"])
-    for name in ("a.jpg", "mine"):
-        run.renders.path("test", name).write_bytes(b"png")
-    (run.path / "renders" / "empty").mkdir()
-    assert overwritten(run) == {"options.json", "renders", "renders/empty", "renders/test",
-                                "renders/test/mine.png"}
+    run.picture("a.jpg").write_bytes(b"png")
+    (run.path / "renders" / "mine").mkdir()
+    assert overwritten(run) == {"options.json", "renders", "renders/mine"}
 
 
 def test_a_link_to_a_model_is_removed_and_the_model_stays(tmp_path):

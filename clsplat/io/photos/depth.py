@@ -5,7 +5,6 @@ NPY with whole numbers, which are thousandths of the scene's unit (millimetres o
 TIFF or NPY with floats in the scene's units. Values that are zero, negative or not finite are none.
 """
 
-import io
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -21,7 +20,7 @@ from clsplat.io.photos.lenses import pixel_map, rays_of
 from clsplat.io.photos.masks import check_shape, photo_size
 from clsplat.io.photos.photo import first_channel
 from clsplat.io.reason import reason
-from clsplat.io.regular import read_regular
+from clsplat.io.regular import open_regular
 from clsplat.scene import Scene, View
 
 SUFFIXES = (".png", ".exr", ".tif", ".tiff", ".npy")
@@ -105,8 +104,8 @@ def _stored(view: View) -> NDArray[np.float32]:
 
 def _read_npy(path: Path) -> NDArray[Any]:
     try:
-        content = read_regular(path)
-        values = read_array(io.BytesIO(content), len(content))
+        with open_regular(path) as file:
+            values = read_array(file, path.stat().st_size)
     except Exception as error:  # numpy raises many kinds
         raise InputError(f"{path}: not a NumPy array, or damaged ({reason(error)}); save it again"
                          ) from None

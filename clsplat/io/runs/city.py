@@ -216,8 +216,7 @@ class BlockFolder:
 
     def responses(self) -> dict[str, Response] | None:
         """The responses of views from the coarse run; None: it learned none."""
-        path = self.path / EXPOSURES
-        return read_exposures(path) if path.is_file() else None
+        return read_exposures(self.path / EXPOSURES)
 
     def check_own(self, model: Path) -> None:
         """InputError for a PLY of another block's training. One of an earlier version does not

@@ -27,8 +27,10 @@ def write_exposures(path: Path, responses: Mapping[str, Response]) -> None:
         for name, response in responses.items()}, indent=0)
 
 
-def read_exposures(path: Path) -> dict[str, Response]:
-    """Read what `write_exposures` wrote; InputError if it is damaged."""
+def read_exposures(path: Path) -> dict[str, Response] | None:
+    """Read what `write_exposures` wrote, None without it; InputError if it is damaged."""
+    if not path.is_file():
+        return None
     rows = _read(path, (TRANSFORM, TRANSFORM + VIGNETTING), "a file of exposures")
     return {name: Response(row.reshape(3, 4)) if len(row) == TRANSFORM else
             Response(row[:TRANSFORM].reshape(3, 4), row[TRANSFORM:]) for name, row in rows.items()}

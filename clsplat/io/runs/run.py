@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL, replacing
-from clsplat.io.folders import make_folder, remove_files
+from clsplat.io.folders import make_folder
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.npz import read_npz, state_array, write_npz
@@ -28,56 +29,13 @@ from clsplat.response import Response
 
 OPTIONS, METRICS = "options.json", "metrics.jsonl"
 CHECKPOINT = "checkpoint.npz"
-RENDERS = "renders"
-WRITTEN = "written.json"  # in that folder: the pictures there that clsplat wrote
+PICTURES = "renders/test"  # of held-out views, by `clsplat eval`
 MODEL, REPORT = "point_cloud.ply", "report.html"
 PART_OF_CITY = "part_of_city"  # key of options.json: whether it is a coarse run or a block
 # in the order of their removal
 FILES = (METRICS, CHECKPOINT, EXPOSURES, POSES, MODEL, REPORT, OPTIONS)
 CITY = "city.json"  # of a folder that `clsplat city` wrote: io/runs/city.py reads it
 STATE = "state.json"  # the member of a checkpoint that holds everything but arrays
-
-
-class Renders:
-    """The pictures of views, renders/KIND/NAME.png: those that clsplat wrote may be replaced."""
-
-    def __init__(self, run: Path) -> None:
-        self.folder = run / RENDERS
-
-    def paths(self) -> list[Path]:
-        """The pictures that clsplat wrote and that still exist; those behind a link are left out,
-        since they may belong to somebody else."""
-        try:
-            names = object_of((self.folder / WRITTEN).read_bytes())["pictures"]
-            paths = [self.folder / name for name in names if ".." not in Path(name).parts]
-        except (OSError, ValueError, KeyError, TypeError):
-            return []
-        inside = os.path.join(os.path.realpath(self.folder.parent), RENDERS, "")
-        return [path for path in paths if path.is_file() and not path.is_symlink()
-                and os.path.realpath(path).startswith(inside)]
-
-    def note(self, kind: str, names: list[str]) -> None:
-        """Record that each `path(kind, name)` will be written: --overwrite may remove it."""
-        make_folder(self.folder)
-        pictures = {path.relative_to(self.folder).as_posix() for path in self.paths()}
-        pictures |= {f"{kind}/{name}.png" for name in names}
-        write_object(self.folder / WRITTEN, {"pictures": sorted(pictures)}, indent=0)
-
-    def path(self, kind: str, name: str) -> Path:
-        """Where to write the picture of a view; its folder is created.
-
-        The suffix of the view's name is kept, or a.jpg and a.png would share one file.
-        """
-        path = self.folder / kind / f"{name}.png"
-        if not path.resolve().is_relative_to(self.folder.resolve()):
-            raise InputError(f"{name}: a view's name must not leave the render folder; rename it")
-        make_folder(path.parent)
-        return path
-
-    def remove(self) -> None:
-        """Remove what clsplat wrote; a render folder that is a link is not followed."""
-        if not self.folder.is_symlink():
-            remove_files([*self.paths(), self.folder / WRITTEN], self.folder)
 
 
 class RunFolder:
@@ -90,7 +48,7 @@ class RunFolder:
     def __init__(self, path: str | Path) -> None:
         """Use `create` or `open`."""
         self.path = Path(path)
-        self.renders = Renders(self.path)
+        self.pictures = self.path / PICTURES
         self.undistorted = self.path / UNDISTORTED  # stays when the run is replaced
         self._metrics_whole = self._replaces = False
 
@@ -149,7 +107,9 @@ class RunFolder:
                 yield
             finally:
                 if is_new and set(os.listdir(self.path)) <= {LOCK, HOLDER}:
-                    remove_files([self.path / LOCK, self.path / HOLDER], self.path)
+                    for name in (LOCK, HOLDER):
+                        (self.path / name).unlink(missing_ok=True)
+                    self.path.rmdir()
 
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
@@ -162,7 +122,8 @@ class RunFolder:
 
     def _remove_files(self) -> None:
         """Remove the files of a run; links are removed, never followed."""
-        self.renders.remove()
+        if self.pictures.resolve() == self.path.resolve() / PICTURES:
+            shutil.rmtree(self.pictures, ignore_errors=True)
         for name in FILES:
             (self.path / (name + PARTIAL)).unlink(missing_ok=True)
             (self.path / name).unlink(missing_ok=True)
@@ -203,11 +164,6 @@ class RunFolder:
         """Whether the run has options, which are written first."""
         return (self.path / OPTIONS).is_file()
 
-    @property
-    def has_metrics(self) -> bool:
-        """Whether the run has metrics."""
-        return (self.path / METRICS).is_file()
-
     def log(self, record: dict[str, Any]) -> None:
         """Append one line to the metrics; numbers that are not finite become null."""
         path = self.path / METRICS
@@ -223,14 +179,27 @@ class RunFolder:
             raise InputError(f"{path}: cannot be written ({error.strerror}); "
                              "free some space and continue with --resume") from error
 
+    def picture(self, name: str) -> Path:
+        """Where to write the picture of a held-out view; its folder is created.
+
+        The suffix of the view's name is kept, or a.jpg and a.png would share one file.
+        """
+        path = self.pictures / f"{name}.png"
+        if not path.resolve().is_relative_to(self.pictures.resolve()):
+            raise InputError(f"{name}: a view's name must not leave the folder of pictures; "
+                             "rename it")
+        make_folder(path.parent)
+        return path
+
     def records(self) -> list[dict[str, Any]]:
-        """The records of the metrics in order; a last line that was cut short is left out."""
+        """The records of the metrics in order, [] if there are none yet; a last line that was cut
+        short is left out."""
         return [record for record, _ in self._lines()]
 
     def add_scores(self, scores: dict[str, Any]) -> None:
         """Add scores of the finished model to the last evaluation in the metrics, if there is one;
         they replace those that are there."""
-        lines = self._lines() if self.has_metrics else []
+        lines = self._lines()
         places = [n for n, (record, _) in enumerate(lines) if record.get("event") == "eval"]
         if not places:
             return
@@ -240,13 +209,11 @@ class RunFolder:
             file.writelines(text.encode() if n == places[-1] else line
                             for n, (_, line) in enumerate(lines))
 
-    def past_records(self) -> list[dict[str, Any]]:
-        """The records of the metrics, or none if there are no metrics yet."""
-        return self.records() if self.has_metrics else []
-
     def _lines(self) -> list[tuple[dict[str, Any], bytes]]:
         path = self.path / METRICS
-        lines = []
+        lines: list[tuple[dict[str, Any], bytes]] = []
+        if not path.exists():
+            return lines
         for number, line in enumerate(_whole_lines(_read(path)).splitlines(keepends=True), 1):
             try:
                 lines.append((record_of(line), line))
@@ -257,10 +224,10 @@ class RunFolder:
 
     def rewind(self, iteration: int) -> None:
         """Drop the metrics after an iteration, whose steps a resumed run repeats."""
-        if not (self.path / METRICS).exists():
+        lines = self._lines()
+        kept = [line for record, line in lines if (record.get("iteration") or 0) <= iteration]
+        if len(kept) == len(lines):
             return
-        kept = [line for record, line in self._lines()
-                if (record.get("iteration") or 0) <= iteration]
         with replacing(self.path / METRICS) as file:
             file.writelines(kept)
 
@@ -300,8 +267,7 @@ class RunFolder:
 
     def load_exposures(self) -> dict[str, Response] | None:
         """Load the responses of views by name, or None if the run learned none."""
-        path = self.path / EXPOSURES
-        return read_exposures(path) if path.is_file() else None
+        return read_exposures(self.path / EXPOSURES)
 
     def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = (),
                    sphere: bool = False) -> None:
