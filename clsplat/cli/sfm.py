@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -91,17 +92,15 @@ def _make_scene(photos: Path, output: Path, options: SfmOptions, overwrite: bool
                 ) -> None:
     """Reconstruct a scene with a progress line, and say what came out."""
     from clsplat.cli.progress import Progress
-    from clsplat.sfm.progress import Silent
     from clsplat.sfm.reconstruct import reconstruct
-    if quiet:
-        record = reconstruct(photos, output, options, Silent(), overwrite)
-    else:
-        with Progress() as progress:
-            record = reconstruct(photos, output, options, progress, overwrite)
+    from clsplat.training.progress import SilentProgress
+    with nullcontext(SilentProgress()) if quiet else Progress() as progress:
+        record = reconstruct(photos, output, options, progress, overwrite)
+    if not quiet:
         click.echo(f"{output}: {record['registered']} of {record['photos']} photos, "
                    f"{record['points']:,} points, reprojection error "
                    f"{record['reprojection_error_pixels']:.2f} pixels, "
-                   f"{sum(record['seconds'].values()):.0f} s")
+                   f"{record['seconds']:.0f} s")
         missing = list(record["not_registered"].items())
         for name, why in missing[:SHOWN]:
             click.echo(f"  {name}: {why}")

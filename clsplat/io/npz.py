@@ -52,8 +52,10 @@ def state_array(state: Mapping[str, Any]) -> NDArray[np.uint8]:
 
 
 def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
-    """Read the array of an .npy of `size` bytes; raises exceptions of any kind, as numpy's parser of
-    headers does. numpy's own reader allocates what a header claims before it reads."""
+    """Read the array of an .npy of `size` bytes; raises exceptions of any kind, as numpy does.
+
+    numpy's own reader of arrays would allocate what a header claims before it reads.
+    """
     read_header = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
     shape, by_columns, dtype = read_header[read_magic(stream)](stream)
     values = np.frombuffer(bytearray(stream.read(size)), dtype)

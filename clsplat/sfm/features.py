@@ -1,4 +1,6 @@
-"""SIFT features of photos, and their matches, on the CPU.
+"""COLMAP's database of a reconstruction: cameras and photos, SIFT features and matches, on the CPU.
+
+Photos are named by their number there, since COLMAP's lists of pairs are separated by spaces.
 
 Time and memory are those of one size of photo, whatever the camera's: large photos are made
 smaller by area averaging, small ones are enlarged, up to SIFT's usual factor 2. Coordinates are
@@ -7,6 +9,7 @@ those of the photo as it is stored.
 
 import os
 import shutil
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,8 +22,7 @@ from clsplat.errors import InputError
 from clsplat.io.ahead import called_ahead
 from clsplat.io.photos.images import read_image
 from clsplat.io.photos.masks import read_mask
-from clsplat.sfm.database import image_id, image_name
-from clsplat.sfm.photos import SourcePhoto
+from clsplat.sfm.photos import SourceCamera, SourcePhoto
 from clsplat.sfm.progress import Progress
 
 WORKING_SIZE = 1600  # long side in pixels of the image in which features are searched
@@ -29,6 +31,59 @@ MOST_FEATURES = 6144  # 4096 give too few points to start from: docs/evidence/ph
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 LEAST_FREE_BYTES = 1 << 26  # on the disk: more than the matches of so many pairs take
 PAIRS_AT_ONCE = 64  # after which they are in the database, so that a killed command keeps them
+
+
+def image_id(index: int) -> int:
+    """The id of a photo in the database, by its index."""
+    return index + 1
+
+
+def image_name(index: int) -> str:
+    """The name of a photo in the database, by its index."""
+    return f"{index:08d}"
+
+
+def partners(path: Path) -> Counter[int]:
+    """With how many photos each photo, by its id, shares features that two views can have."""
+    with pycolmap.Database.open(path) as database:
+        return Counter(number for pair, inliers in zip(
+            *database.read_two_view_geometry_num_inliers()) if inliers
+            for number in pycolmap.pair_id_to_image_pair(pair))
+
+
+def create_database(path: Path, cameras: Sequence[SourceCamera]) -> None:
+    """Create a database with cameras and photos; it appears whole or not at all."""
+    partial = path.with_name(path.name + ".part")
+    for left in path.parent.glob(partial.name + "*"):  # SQLite keeps two files beside it
+        left.unlink()
+    with pycolmap.Database.open(partial) as database:
+        for number, source in enumerate(cameras, 1):
+            database.write_camera(camera_of(number, source), use_camera_id=True)
+            sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, number)
+            rig = pycolmap.Rig()
+            rig.rig_id = number
+            rig.add_ref_sensor(sensor)
+            database.write_rig(rig, use_rig_id=True)
+            for index in source.photos:
+                image = pycolmap.Image(name=image_name(index), camera_id=number)
+                frame = pycolmap.Frame()
+                image.image_id = frame.frame_id = image_id(index)
+                frame.rig_id = number
+                frame.add_data_id(pycolmap.data_t(sensor, image.image_id))
+                database.write_image(image, use_image_id=True)
+                database.write_frame(frame, use_frame_id=True)
+    os.replace(partial, path)
+
+
+def camera_of(number: int, source: SourceCamera) -> pycolmap.Camera:
+    """The camera of the database with this id, as far as it is known."""
+    camera = pycolmap.Camera.create_from_model_name(
+        number, source.model, source.focal, source.width, source.height)
+    camera.has_prior_focal_length = source.focal_known
+    if source.calibration is not None:
+        camera.params = [*source.calibration.focal, *source.calibration.centre,
+                         *source.calibration.distortion[:4]]
+    return camera
 
 
 def threads() -> int:

@@ -8,14 +8,14 @@ all photos that match others, or fits badly, and the better of both is kept.
 import itertools
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pycolmap
 
 from clsplat.errors import InputError
-from clsplat.sfm.database import camera_of, partners
+from clsplat.sfm.features import camera_of, partners
 from clsplat.sfm.photos import SourceCamera, are_calibrated
 from clsplat.sfm.progress import Progress
 
@@ -24,24 +24,8 @@ LARGEST_ERROR = 1.5  # pixels, the mean reprojection error above which a result 
 SEED = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Mapped:
-    """What mapping found.
-
-    Attributes
-    ----------
-    reconstruction : a pycolmap.Reconstruction, the best one.
-    method : "global" or "incremental".
-    elsewhere : ids of photos that were placed in another part of the scene only.
-    """
-
-    reconstruction: Any
-    method: str
-    elsewhere: tuple[int, ...] = ()
-
-
 def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, progress: Progress
-               ) -> Mapped:
+               ) -> Any:
     """Reconstruct the poses of photos.
 
     Parameters
@@ -50,6 +34,10 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
     cameras : of the photos; see `are_calibrated`.
     photos : how many there are.
 
+    Returns
+    -------
+    A pycolmap.Reconstruction.
+
     Raises
     ------
     InputError : no photos could be placed.
@@ -57,37 +45,27 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
     fixed, matched = are_calibrated(cameras), len(partners(database))
     work = database.parent
     progress.phase("global mapping")
-    found = {"global": _global(database, work / "global", fixed)}
-    if not fixed and not all(map(square, found["global"])):
+    models = _global(database, work / "global", fixed)
+    if not fixed and not all(map(square, models)):
         use_square_pixels(database, cameras)
-        found["global"] = _global(database, work / "global", fixed)
+        models = _global(database, work / "global", fixed)
     # photos that match no other one cannot be placed in any way
     if matched and not any(model.num_reg_images() == matched
                            and model.compute_mean_reprojection_error() <= LARGEST_ERROR
-                           for model in found["global"]):
+                           for model in models):
         registered = itertools.count(3)  # the first call follows the first pair and one more
 
-        def show() -> None:
-            number = next(registered)  # more than all if a second attempt follows
-            if number < photos:
-                progress.count("incremental mapping, photo", number, photos)
-            else:
-                progress.phase("incremental mapping, last adjustments")
+        def show() -> None:  # more often than there are photos if a second attempt follows
+            progress.count("incremental mapping, photo", min(next(registered), photos), photos)
 
         progress.phase("incremental mapping")
-        found["incremental"] = _incremental(database, work / "incremental", fixed, show)
-
-    def size(model: Any) -> tuple[int, int]:
-        return model.num_reg_images(), model.compute_num_observations()
-
-    method, models = max(found.items(), key=lambda item: max(map(size, item[1]), default=(0, 0)))
+        models += _incremental(database, work / "incremental", fixed, show)
     if not models:
         raise InputError(f"{work.parent}: no photos could be placed, since too few of their "
                          "features match; photos must be sharp, overlap by more than half, and be "
                          "taken from different places")
-    best = max(models, key=size)
-    others = {number for model in models for number in model.reg_image_ids()}
-    return Mapped(best, method, tuple(sorted(others - set(best.reg_image_ids()))))
+    return max(models, key=lambda model: (model.num_reg_images(),
+                                          model.compute_num_observations()))
 
 
 def square(model: Any) -> bool:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from clsplat.errors import InputError
-from clsplat.sfm.database import image_id
+from clsplat.sfm.features import image_id
 from clsplat.sfm.photos import SourcePhoto
 from clsplat.sfm.progress import Progress
 

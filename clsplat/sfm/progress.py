@@ -14,12 +14,3 @@ class Progress(Protocol):
 
     def message(self, text: str) -> None:
         """Print a line that stays."""
-
-
-class Silent:
-    """Shows nothing."""
-
-    def _ignore(self, *_: object) -> None:
-        pass
-
-    count = phase = message = _ignore

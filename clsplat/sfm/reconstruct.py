@@ -5,9 +5,9 @@ What is unfinished lies in the folder .sfm of the scene, so that a killed comman
 
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from collections.abc import Container, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,9 @@ import pycolmap
 
 from clsplat import __version__
 from clsplat.errors import InputError
-from clsplat.io.folders import make_folder
+from clsplat.io.folders import link_file, make_folder
 from clsplat.io.georeference.adjustment import NotGeoreferenced, check_marks
-from clsplat.io.georeference.control_points import ControlPoints, read_control_points
+from clsplat.io.georeference.control_points import read_control_points
 from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction, turned
@@ -30,9 +30,14 @@ from clsplat.io.regular import read_regular
 from clsplat.io.scenes.colmap import write_reconstruction
 from clsplat.io.scenes.colmap_files import CAMERA_MODELS
 from clsplat.io.scenes.sources import IMAGES
-from clsplat.sfm.database import create_database
-from clsplat.sfm.features import extract_features, match_pairs
-from clsplat.sfm.mapping import Mapped, map_photos
+from clsplat.sfm.features import (
+    create_database,
+    extract_features,
+    image_id,
+    match_pairs,
+    partners,
+)
+from clsplat.sfm.mapping import map_photos
 from clsplat.sfm.pairs import choose_pairs
 from clsplat.sfm.photos import (
     RECORD,
@@ -45,12 +50,11 @@ from clsplat.sfm.photos import (
     is_video,
 )
 from clsplat.sfm.progress import Progress
-from clsplat.sfm.scene import reasons, record_of, write_scene
-from clsplat.sfm.video import DONE as FRAMES_DONE
 from clsplat.sfm.video import check_video, extract_frames
 
 WRITTEN = (IMAGES, MASKS, "sparse", "georeference.json", "orientation.json")
-STATE, MODEL, MAPPED = "state.json", "model", "mapped.json"  # in the folder .sfm
+STATE = "state.json"  # in the folder .sfm
+FEW_FEATURES = 100
 
 
 @dataclass(frozen=True)
@@ -103,74 +107,76 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
     if options.camera_model and options.camera_model not in models:
         raise InputError(f"--camera-model {options.camera_model}: is none of "
                          f"{', '.join(sorted(models))}; leave it out, or give one of them")
-    control = _control(options)
-    sources = source, options.masks
-    _check_output(output, sources, overwrite)
-    seconds: dict[str, float] = {}
-
-    @contextmanager
-    def timed(phase: str) -> Iterator[None]:
-        start = time.monotonic()
-        yield
-        seconds[phase] = round(time.monotonic() - start, 1)
-
-    with timed("photos"):
-        found = _photos(source, options, progress)
+    crs = scene_crs(options.crs) if options.crs else None
+    control = read_control_points(options.control_points, crs, options.check_points)
+    _check_output(output, (source, options.masks), overwrite)
+    start = time.monotonic()
+    found = _photos(source, options, progress)
     if found is not None:
         check_marks(control.points, {photo.name for photo in found[0]})
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
     pycolmap.set_random_seed(0)
     make_folder(output)
     with exclusive(output):
-        _check_output(output, sources, overwrite)  # another process may have finished a scene
         unfinished = Unfinished(output)
         if overwrite and (output / RECORD).exists():
             unfinished.forget()
         (output / RECORD).unlink(missing_ok=True)
         if found is None:
-            with timed("frames"):
-                extract_frames(source, unfinished.frames, options.frames, progress)
+            extract_frames(source, unfinished.frames, options.frames, progress)
             found = find_photos(unfinished.frames)
         photos, refused = found
         cameras = cameras_of(photos, options.camera_model)
-        kept = {"masks": options.masks and str(options.masks.resolve()),
-                "matching": options.matching, "camera_model": options.camera_model}
-        resumed = unfinished.open(photos, kept, overwrite)
+        masks = options.masks and str(options.masks.resolve())
+        unfinished.open(photos, {"masks": masks, "matching": options.matching,
+                                 "camera_model": options.camera_model}, overwrite)
         database = unfinished.folder / "database.db"
+        damaged, matching = _match(database, photos, cameras, options.matching, is_video(source),
+                                   progress)
+        if not unfinished.has_model:
+            unfinished.keep(map_photos(database, cameras, len(photos), progress), photos)
+        model, metadata = unfinished.model(), {photo.name: photo.metadata for photo in photos}
+        has_place = True
         try:
-            if not database.exists():
-                create_database(database, cameras)
-            with timed("features"):
-                refused |= extract_features(database, photos, progress)
-            with timed("pairs"):
-                pairs, matching = choose_pairs(database, photos, options.matching,
-                                               is_video(source), progress)
-            progress.message(f"matching {matching}")
-            with timed("matching"):
-                match_pairs(database, pairs, progress)
-        except RuntimeError as error:  # of SQLite in pycolmap, which gives no other reason
-            raise InputError(f"{database}: cannot be written or read ({reason(error)}); check that "
-                             "the disk has space, and give the command again") from error
-        with timed("mapping"):
-            mapped = unfinished.mapped(lambda: map_photos(database, cameras, len(photos), progress))
-        model, placed, refusal = _placed(mapped, unfinished, photos, cameras, control)
-        with timed("scene"):
-            names = write_scene(output, model, photos, progress)
+            placed = place_reconstruction(model, metadata, control, adjusts=True,
+                                          keep_focal=are_calibrated(cameras))
+        except NotGeoreferenced as error:
+            model, has_place = unfinished.model(), False  # without an adjustment
+            placed = turned(model, metadata, error)
+        names = write_scene(output, model, photos, progress)
         write_orientation(output, placed.up)
         write_georeference(output, placed.georeference)
-        if refusal and (options.control_points or options.crs):
+        if not has_place and (options.control_points or options.crs):
             raise InputError(
                 f"{output}: the scene is complete, but {placed.notes[0]}; correct this and give "
                 "the command again, which goes on from here, or train the scene without a place")
-        missing = reasons(database, photos, set(names), mapped.elsewhere, refused)
-        record = {"version": __version__, "source": plain(source.resolve()),
-                  "masks": kept["masks"], "matching": matching,
-                  "levels": next((photo.levels for photo in photos if photo.levels), None),
-                  **record_of(mapped, cameras, placed, missing), "seconds": seconds,
-                  "resumed": resumed}
+        record = {
+            "version": __version__, "source": plain(source.resolve()), "masks": masks,
+            "matching": matching,
+            "levels": next((photo.levels for photo in photos if photo.levels), None),
+            **_facts(model, cameras, placed),
+            "photos": len(photos) + len(refused), "not_registered": {
+                **refused, **damaged, **reasons(database, photos, {*names, *damaged})},
+            "seconds": round(time.monotonic() - start, 1)}
         write_object(output / RECORD, record)
         shutil.rmtree(unfinished.folder)
     return record
+
+
+def _match(database: Path, photos: Sequence[SourcePhoto], cameras: Sequence[SourceCamera],
+           matching: str, of_video: bool, progress: Progress) -> tuple[dict[str, str], str]:
+    """Fill the database; why photos cannot be used, by name, and which pairs were matched."""
+    try:
+        if not database.exists():
+            create_database(database, cameras)
+        damaged = extract_features(database, photos, progress)
+        pairs, why = choose_pairs(database, photos, matching, of_video, progress)
+        progress.message(f"matching {why}")
+        match_pairs(database, pairs, progress)
+    except RuntimeError as error:  # of SQLite in pycolmap, which gives no other reason
+        raise InputError(f"{database}: cannot be written or read ({reason(error)}); check that "
+                         "the disk has space, and give the command again") from error
+    return damaged, why
 
 
 def is_finished(output: Path, source: Path) -> bool:
@@ -193,12 +199,6 @@ def is_finished(output: Path, source: Path) -> bool:
             raise InputError(f"{output}: was made of {record.get('photos')} photos of {source}, "
                              f"which now has {count}; remove it to make it again")
     return True
-
-
-def _control(options: SfmOptions) -> ControlPoints:
-    """The ground control points, and the CRS of the scene, "" if it is not given."""
-    crs = scene_crs(options.crs) if options.crs else None
-    return read_control_points(options.control_points, crs, options.check_points)
 
 
 def _check_output(output: Path, sources: Iterable[Path | None], overwrite: bool) -> None:
@@ -245,12 +245,12 @@ class Unfinished:
 
     def __init__(self, scene: Path) -> None:
         self.folder = scene / UNFINISHED
-        self.frames = self.folder / "frames"
+        self.frames, self._model = self.folder / "frames", self.folder / "model"
         make_folder(self.folder)
 
-    def open(self, photos: Sequence[SourcePhoto], options: dict[str, Any], overwrite: bool) -> bool:
-        """Begin or continue a reconstruction; whether it continues. InputError if the folder has
-        what other photos or options left, which may not be overwritten.
+    def open(self, photos: Sequence[SourcePhoto], options: dict[str, Any], overwrite: bool) -> None:
+        """Begin or continue a reconstruction; InputError if the folder has what other photos or
+        options left, which may not be overwritten.
 
         Parameters
         ----------
@@ -262,7 +262,7 @@ class Unfinished:
         if path.exists():
             with suppress(OSError, ValueError):
                 if object_of(read_regular(path)) == state:
-                    return True
+                    return
             if not overwrite:
                 raise InputError(f"{self.folder.parent}: holds an unfinished reconstruction of "
                                  "other photos or with other options; give another folder, or "
@@ -270,47 +270,101 @@ class Unfinished:
         # without a state, what is there was left by a command that was killed while it removed it
         self.forget()
         write_object(path, state)
-        return False
 
     def forget(self) -> None:
         """Remove the scene, and all of this folder but the frames of a video; the state first."""
         (self.folder / STATE).unlink(missing_ok=True)
-        kept = self.frames, self.folder / FRAMES_DONE
         for path in [*self.folder.iterdir(), *(self.folder.parent / name for name in WRITTEN)]:
-            if path.is_dir() and path not in kept:
+            if path.is_dir() and path != self.frames:
                 shutil.rmtree(path)
-            elif path not in kept:
-                path.unlink(missing_ok=True)
+            elif path.is_file():
+                path.unlink()
 
-    def mapped(self, compute: Callable[[], Mapped]) -> Mapped:
-        """The reconstruction that is kept, or else the computed one, which is kept then."""
-        kept, partial = self.folder / MODEL, self.folder / f"{MODEL}.part"
-        if not kept.is_dir():
-            result = compute()
-            shutil.rmtree(partial, ignore_errors=True)
-            partial.mkdir()
-            write_reconstruction(partial, result.reconstruction)
-            write_object(partial / MAPPED, {"method": result.method,
-                                            "elsewhere": list(result.elsewhere)})
-            partial.rename(kept)
-        record = object_of(read_regular(kept / MAPPED))
-        return Mapped(pycolmap.Reconstruction(kept), record["method"], tuple(record["elsewhere"]))
+    @property
+    def has_model(self) -> bool:
+        """Whether the photos are mapped."""
+        return self._model.is_dir()
 
-
-def _placed(mapped: Mapped, unfinished: Unfinished, photos: Sequence[SourcePhoto],
-            cameras: Sequence[SourceCamera], control: ControlPoints
-            ) -> tuple[pycolmap.Reconstruction, Placed, bool]:
-    """The reconstruction in its place, what was found, and whether it has no place."""
-    def named(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
+    def keep(self, model: pycolmap.Reconstruction, photos: Sequence[SourcePhoto]) -> None:
+        """Keep a reconstruction, whose images get the names of their photos."""
         for image in model.images.values():
-            image.name = photos[image.image_id - 1].name
-        return model
+            image.name = photos[image.image_id - image_id(0)].name
+        partial = self._model.with_suffix(".part")
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir()
+        write_reconstruction(partial, model)
+        partial.rename(self._model)
 
-    metadata = {photo.name: photo.metadata for photo in photos}
-    model = named(mapped.reconstruction)
-    try:
-        return model, place_reconstruction(model, metadata, control, adjusts=True,
-                                           keep_focal=are_calibrated(cameras)), False
-    except NotGeoreferenced as error:
-        model = named(pycolmap.Reconstruction(unfinished.folder / MODEL))  # before an adjustment
-        return model, turned(model, metadata, error), True
+    def model(self) -> pycolmap.Reconstruction:
+        """The reconstruction that is kept."""
+        return pycolmap.Reconstruction(self._model)
+
+
+def write_scene(folder: Path, reconstruction: Any, photos: Sequence[SourcePhoto],
+                progress: Progress) -> list[str]:
+    """Write images/, masks/ and sparse/0 of a scene.
+
+    Photos and masks are hard links, so that the scene outlives its source without a second copy on
+    the disk; on another file system they are copied. What is there already stays. The model has the
+    cameras of the photos with their lens distortion.
+
+    Parameters
+    ----------
+    folder : of the scene.
+    reconstruction : a pycolmap.Reconstruction whose images have the names of photos; its points get
+        their colours.
+
+    Returns
+    -------
+    The names of the registered photos, sorted.
+    """
+    by_name = {photo.name: photo for photo in photos}
+    names = sorted(image.name for image in reconstruction.images.values() if image.has_pose)
+    for name in names:
+        link_file(by_name[name].path, folder / IMAGES / name, "hard")
+        mask = by_name[name].mask
+        if mask is not None:
+            link_file(mask, folder / MASKS / (name + mask.suffix), "hard")
+    progress.phase("colours of points")
+    reconstruction.extract_colors_for_all_images(folder / IMAGES)
+    make_folder(folder / "sparse" / "0")
+    write_reconstruction(folder / "sparse" / "0", reconstruction)
+    return names
+
+
+def _facts(model: pycolmap.Reconstruction, cameras: Sequence[SourceCamera], placed: Placed
+           ) -> dict[str, Any]:
+    """What sfm.json has on a reconstruction; `cameras` as they were known before."""
+    known = placed.georeference
+    control = known.residuals if known is not None and known.kind == "gcp" else ()
+    record: dict[str, Any] = plain({
+        "registered": model.num_reg_images(), "points": model.num_points3D(),
+        "mean_track_length": model.compute_mean_track_length(),
+        "reprojection_error_pixels": model.compute_mean_reprojection_error(),
+        "cameras": [{
+            "model": model.cameras[number].model_name, "width": source.width,
+            "height": source.height, "parameters": model.cameras[number].params,
+            "photos": len(source.photos), "focal_before": source.focal,
+            "focal_from": "by the maker" if source.calibration else
+            "metadata" if source.focal_known else "guess"}
+            for number, source in enumerate(cameras, 1) if number in model.cameras],
+        "georeferenced": known is not None, "up": placed.up,
+        "control_points": list(map(asdict, control)), "notes": placed.notes,
+        "warnings": placed.warnings})
+    return record
+
+
+def reasons(database: Path, photos: Sequence[SourcePhoto], others: Container[str]
+            ) -> dict[str, str]:
+    """Why photos, except `others`, were not registered, by name."""
+    matches, result = partners(database), {}
+    with pycolmap.Database.open(database) as source:
+        for number, photo in enumerate(photos, image_id(0)):
+            if photo.name not in others:
+                found = source.num_keypoints_for_image(number)
+                result[photo.name] = (
+                    f"has only {found} features: it is blurred or shows hardly any detail"
+                    if found < FEW_FEATURES else
+                    f"matches {matches[number]} photos, but nothing joins it to the largest part "
+                    "of the scene" if matches[number] else "matches no other photo")
+    return result

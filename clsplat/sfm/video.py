@@ -4,6 +4,7 @@ It needs PyAV, an optional library.
 """
 
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,6 @@ try:
 except ImportError:
     av = None  # type: ignore[assignment]
 
-DONE = "frames.txt"
 SHARPNESS_SIZE = 640  # long side in pixels at which sharpness is judged
 QUALITY = 97  # of JPEG
 
@@ -38,21 +38,15 @@ def check_video(path: Path) -> None:
 
 
 def extract_frames(path: Path, folder: Path, count: int, progress: Progress) -> None:
-    """Write frames of a video as JPEG files, unless an earlier call has done so.
+    """Write frames of a video as JPEG files into a new folder.
 
     Parameters
     ----------
     path : of a video that `check_video` has passed.
-    folder : of the frames, which is created; there are `count` at most.
+    folder : of the frames, of which there are `count` at most; another one there is removed.
     """
-    identity = f"{os.path.realpath(path)} {path.stat().st_size} {count}".encode(errors="replace")
-    marker = folder.with_name(DONE)
-    if marker.exists() and marker.read_bytes() == identity:
-        return
-    marker.unlink(missing_ok=True)  # first: what it describes is no longer there
+    shutil.rmtree(folder, ignore_errors=True)
     make_folder(folder)
-    for old in folder.iterdir():
-        old.unlink()
     try:
         for number, frame in enumerate(_sharpest(path, count, progress)):
             turns = round(getattr(frame, "rotation", 0) / 90)  # counter-clockwise, degrees
@@ -61,7 +55,6 @@ def extract_frames(path: Path, folder: Path, count: int, progress: Progress) -> 
     except (av.FFmpegError, ValueError, IndexError) as error:
         raise InputError(f"{path}: not a video that can be decoded ({reason(error)}); convert it "
                          "to MP4") from None
-    marker.write_bytes(identity)
 
 
 def _sharpest(path: Path, count: int, progress: Progress) -> Iterator[Any]:

@@ -35,6 +35,9 @@ class SilentProgress:
     def phase(self, text: str) -> None:
         """Show what is being done now."""
 
+    def count(self, what: str, done: int, total: int) -> None:
+        """Show how many of `total` things are done."""
+
 
 class Watcher(Protocol):
     """Looks at a training between its steps; what it does is no part of the time of training."""

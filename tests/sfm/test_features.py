@@ -6,8 +6,7 @@ import pytest
 
 from clsplat.io.photos.images import write_image
 from clsplat.sfm import features
-from clsplat.sfm.database import create_database, image_id
-from clsplat.sfm.features import extract_features
+from clsplat.sfm.features import create_database, extract_features, image_id
 from clsplat.sfm.photos import cameras_of, find_photos
 from tests.sfm.cases import Lines, picture
 

@@ -18,10 +18,9 @@ from clsplat.errors import InputError
 from clsplat.io.photos.images import read_image
 from clsplat.io.scenes.read import read_scene
 from clsplat.sfm import reconstruct as module
-from clsplat.sfm.mapping import Mapped
 from clsplat.sfm.photos import find_photos
 from clsplat.sfm.reconstruct import SfmOptions, Unfinished, is_finished, reconstruct
-from tests.sfm.cases import Lines, folder_of, synthetic
+from tests.sfm.cases import Lines, folder_of, source, synthetic
 
 CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"
 LATITUDE, LONGITUDE = 45.0, 9.0  # of the sample city: on the middle meridian of UTM zone 32
@@ -70,7 +69,7 @@ def test_a_scene_whose_place_was_asked_for_is_kept_without_it(tmp_path, monkeypa
     mapped = []
 
     monkeypatch.setattr(module, "map_photos", lambda *_: (
-        mapped.append(1), Mapped(model, "global"))[1])
+        mapped.append(1), model)[1])
     for _ in range(2):
         result = clsplat_("sfm", "-q", photos, "-o", tmp_path / "out", "--crs", "EPSG:32632")
         assert result.exit_code == 2 and result.output.count("\n") == 1
@@ -86,22 +85,24 @@ def test_what_is_kept_belongs_to_the_same_photos_and_options(tmp_path):
     photos, _ = find_photos(photos_of(tmp_path))
     (tmp_path / "scene").mkdir()
     kept = Unfinished(tmp_path / "scene")
-    assert not kept.open(photos, {"matching": "auto"}, False)
+    kept.open(photos, {"matching": "auto"}, False)
     database = kept.folder / "database.db"
     database.write_bytes(b"features")
-    assert kept.open(photos, {"matching": "auto"}, False) and database.exists()
+    kept.open(photos, {"matching": "auto"}, False)
+    assert database.exists()
     for others, options in ((photos[:2], {"matching": "auto"}), (photos, {"matching": "all"})):
         with pytest.raises(InputError, match="of other photos or with other options"):
             kept.open(others, options, False)
-    assert not kept.open(photos[:2], {"matching": "auto"}, True) and not database.exists()
+    kept.open(photos[:2], {"matching": "auto"}, True)
+    assert not database.exists()
 
 
 def test_mapping_is_kept(tmp_path):
     kept = Unfinished(tmp_path)
-    found = kept.mapped(lambda: Mapped(synthetic(), "global", (7,)))
-    again = kept.mapped(lambda: pytest.fail("mapped twice"))
-    assert again.method == found.method == "global" and again.elsewhere == (7,)
-    assert again.reconstruction.num_points3D() == 60
+    kept.keep(synthetic(), [source(f"{index} a.jpg") for index in range(6)])
+    assert kept.has_model and kept.model().num_points3D() == 60
+    assert {image.name for image in kept.model().images.values()} == {
+        f"{index} a.jpg" for index in range(6)}
 
 
 def test_train_makes_a_scene_of_photos_once(tmp_path, monkeypatch):
@@ -175,7 +176,7 @@ def test_a_killed_reconstruction_continues_and_ends_in_metres(tmp_path):
         assert not (tmp_path / "out/sfm.json").exists()
     subprocess.run(command, check=True, capture_output=True)
     record = json.loads((tmp_path / "out/sfm.json").read_text())
-    assert record["resumed"] and record["registered"] == record["photos"] == 12
+    assert record["registered"] == record["photos"] == 12
     assert record["reprojection_error_pixels"] < 0.5 and record["not_registered"] == {}
     assert not (tmp_path / "out/.sfm").exists()
     scene = read_scene(tmp_path / "out")

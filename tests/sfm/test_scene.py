@@ -11,7 +11,7 @@ from clsplat.io.photos.metadata import PhotoMetadata
 from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
 from clsplat.sfm.photos import SourcePhoto
-from clsplat.sfm.scene import write_scene
+from clsplat.sfm.reconstruct import write_scene
 from tests.sfm.cases import Lines, synthetic
 
 

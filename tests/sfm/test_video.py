@@ -1,4 +1,4 @@
-"""Frames of a video: the sharpest of each window, upright, and not twice."""
+"""Frames of a video: the sharpest of each window, upright."""
 
 import numpy as np
 import pytest
@@ -36,9 +36,6 @@ def test_the_sharpest_frame_of_each_window_is_taken(tmp_path):
     assert [path.name for path in written] == [f"frame_{index:06d}.jpg" for index in range(3)]
     shown = [(read_image(path).mean() - sharp.mean()) / 10 for path in written]
     assert np.abs(np.array(shown) - (2, 6, 10)).max() < 0.5
-    before = [path.stat().st_mtime_ns for path in written]
-    extract_frames(tmp_path / "a.mp4", tmp_path / "frames", 3, Lines())
-    assert [path.stat().st_mtime_ns for path in written] == before
     extract_frames(tmp_path / "a.mp4", tmp_path / "frames", 2, Lines())
     assert len(list((tmp_path / "frames").iterdir())) == 2
 
