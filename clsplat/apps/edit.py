@@ -17,7 +17,6 @@ from clsplat.edit.transform import transformed
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run, shown
 from clsplat.gaussians import Gaussians
-from clsplat.georeference import Georeference
 from clsplat.io.georeference.crs import conversion
 from clsplat.io.georeference.geojson import DEGREES, read_polygons
 from clsplat.io.models.formats import read_with_notes
@@ -82,39 +81,37 @@ class Source:
                              "name them with --scene")
         return support(self.gaussians, in_original(scene))
 
-    def in_box(self, box: Sequence[float], coordinates: str) -> NDArray[np.bool_]:
+    def in_box(self, box: Sequence[float]) -> NDArray[np.bool_]:
         """bool[N]: whether the gaussians lie in a box: the lowest x, y, z, then the highest, in
-        original coordinates (auto, scene) or those of the CRS (map); InputError for others."""
+        original coordinates."""
         low, high = np.array(box, np.float64).reshape(2, 3)
         if not (low < high).all():
             raise InputError("--box: is empty; give the lowest x, y and z, then the highest (inf "
                              "and -inf leave a side open)")
-        if coordinates == "lonlat":
-            raise InputError("--box: cannot be in degrees; use --polygon, or --coordinates map")
         points = self._points()
-        if coordinates == "map":
-            points = points + self._place("--box").offset
         return np.asarray(((points >= low) & (points <= high)).all(axis=1))
 
-    def in_polygons(self, text: str, coordinates: str) -> NDArray[np.bool_]:
+    def in_polygons(self, text: str) -> NDArray[np.bool_]:
         """bool[N]: whether the gaussians stand above or below polygons on the ground, but not in
         holes of these: their original x and y if z is up.
 
         Parameters
         ----------
-        text : the path of a GeoJSON file, or corners such as "0,0 10,0 10,10".
-        coordinates : scene (original ones of the model), map (of its CRS), lonlat (degrees), or
-            auto: the CRS that a GeoJSON file names; otherwise lonlat for a GeoJSON file if the
-            model is georeferenced, and scene for all else.
+        text : corners such as "0,0 10,0 10,10" in original coordinates, or the path of a GeoJSON
+            file: in the CRS that it names; otherwise in longitude and latitude if the model is
+            georeferenced, and in original coordinates if not.
         """
-        is_file = text.lower().endswith(GEOJSON)
-        polygons, crs = read_polygons(Path(text)) if is_file else ([[_corners(text)]], "")
-        if coordinates == "auto" and not (is_file and (self.notes.georeference or crs)):
-            coordinates = "scene"
-        if coordinates != "scene":
-            place = self._place(f"--polygon {text[:60]}")
-            given = {"map": place.crs, "lonlat": DEGREES, "auto": crs or DEGREES}[coordinates]
-            convert = conversion(given, place.crs, "--polygon")
+        place, crs = self.notes.georeference, ""
+        if text.lower().endswith(GEOJSON):
+            polygons, crs = read_polygons(Path(text))
+            if crs and place is None:
+                raise InputError(f"--polygon {text[:60]}: {self.path} has no georeference, so its "
+                                 "place on a map is unknown; give corners in its own coordinates")
+            crs = crs or DEGREES
+        else:
+            polygons = [[_corners(text)]]
+        if crs and place is not None:
+            convert = conversion(crs, place.crs, "--polygon")
             polygons = [[convert(ring) - place.offset[:2] for ring in rings] for rings in polygons]
         up = np.array([0.0, 0.0, 1.0]) if self.notes.up is None else self.notes.up
         points = self._points() @ map_axes(up).T
@@ -125,12 +122,6 @@ class Source:
 
     def _points(self) -> NDArray[np.float64]:
         return self.gaussians.positions.astype(np.float64) + self.gaussians.offset
-
-    def _place(self, what: str) -> Georeference:
-        if self.notes.georeference is None:
-            raise InputError(f"{what}: {self.path} has no georeference, so its place on a map is "
-                             "unknown; give --coordinates scene")
-        return self.notes.georeference
 
 
 def joined(sources: Sequence[Source]) -> Source:

@@ -44,13 +44,9 @@ def amount_of(text: str) -> float:
 @click.option("--box", nargs=6, type=float, **CROP, metavar="X0 Y0 Z0 X1 Y1 Z1",
               help="Keep what is in this box; inf and -inf leave a side open.")
 @click.option("--polygon", **CROP, metavar="FILE|CORNERS",
-              help="Keep what is above or below a polygon on the ground: a GeoJSON file, or "
-              "corners such as \"0,0 10,0 10,10\".")
-@click.option("--coordinates", type=click.Choice(("auto", "scene", "map", "lonlat")),
-              default="auto", show_default=True, **CROP,
-              help="Of box and polygon: scene: those of the model; map: of its CRS; lonlat: "
-              "longitude and latitude; auto: scene, but for GeoJSON the CRS that it names, or "
-              "lonlat where the model is georeferenced.")
+              help="Keep what is above or below a polygon on the ground: a GeoJSON file, in the "
+              "CRS that it names or in longitude and latitude, or corners such as "
+              "\"0,0 10,0 10,10\".")
 @click.option("--outside", is_flag=True, **CROP,
               help="Keep what is outside of the box and the polygon instead.")
 @click.option("--min-opacity", type=FiniteRange(0, 1), default=0.0, **CLEAN,
@@ -71,9 +67,9 @@ def amount_of(text: str) -> float:
 @click.option("--translate", nargs=3, type=FINITE, default=(0.0, 0.0, 0.0), **MOVE,
               metavar="X Y Z", help="Then move by this, in units of the scene.")
 def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | None,
-         box: tuple[float, ...] | None, polygon: str | None, coordinates: str, outside: bool,
-         min_opacity: float, max_size: float | None, min_support: int, decimate: float | None,
-         scale: float, rotate: tuple[float, ...] | None, translate: tuple[float, ...]) -> None:
+         box: tuple[float, ...] | None, polygon: str | None, outside: bool, min_opacity: float,
+         max_size: float | None, min_support: int, decimate: float | None, scale: float,
+         rotate: tuple[float, ...] | None, translate: tuple[float, ...]) -> None:
     """Edit finished models, runs or files, and write one file.
 
     Several models are merged. Each is cropped and cleaned first; then all are decimated and
@@ -111,9 +107,9 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
             if box or polygon:
                 keep = np.ones(source.gaussians.count, bool)
                 if box:
-                    keep &= source.in_box(box, coordinates)
+                    keep &= source.in_box(box)
                 if polygon:
-                    keep &= source.in_polygons(polygon, coordinates)
+                    keep &= source.in_polygons(polygon)
                 source = kept(source, keep ^ outside,
                               f"are {'inside' if outside else 'outside'}")
             if min_opacity:

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.models.quantise import unit
+from clsplat.io.models.values import unit
 
 SINGLE = np.finfo(np.float32)
 LARGEST_LOG = 87.0  # of a scale that single precision holds, and of its inverse

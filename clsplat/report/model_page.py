@@ -22,8 +22,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.models.quantise import morton_order, smallest_three
-from clsplat.io.models.values import colours_of, opacities
+from clsplat.io.models.values import colours_of, morton_order, opacities, smallest_three
 from clsplat.report.page import full_name, script_json
 from clsplat.scene import NEAR_SHARE
 

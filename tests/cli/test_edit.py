@@ -53,8 +53,6 @@ def test_crop(tmp_path, model):
     same(edited(tmp_path, "--box", *corner)[0], quarter)
     same(edited(tmp_path, "--box", *corner, "--outside")[0],
          selected(model, ~((x >= 100) & (y >= 200))))
-    in_map = [str(value) for value in (465_100, 5_800_200, "-inf", "inf", "inf", "inf")]
-    same(edited(tmp_path, "--box", *in_map, "--coordinates", "map")[0], quarter)
     found, output = edited(tmp_path, "--polygon", "100,200 900,200 900,900 100,900")
     same(found, quarter)
     assert f"{80 - quarter.count} of 80 gaussians are outside" in output
@@ -72,12 +70,22 @@ def test_geojson_in_every_crs(tmp_path, model):
             "type": "Polygon", "coordinates": [corners.tolist()],
             **({"crs": {"type": "name", "properties": {"name": crs}}} if crs else {})}))
         same(edited(tmp_path, "--polygon", path)[0], selected(model, (x >= 100) & (y >= 200)))
-    hole = [[[0, 0], [900, 0], [900, 900], [0, 900]],
-            [[100, 200], [100, 900], [900, 900], [900, 200], [100, 200]]]
+
+
+def test_several_polygons_and_holes(tmp_path):
+    model = cloud(80)
+    write_model(tmp_path / "model.ply", model)
+    x, y, _ = model.positions.T
+    path = tmp_path / "area.geojson"
+    hole = [[[-9, -9], [9, -9], [9, 9], [-9, 9]], [[0, 0], [0, 9], [9, 9], [9, 0], [0, 0]]]
     path.write_text(json.dumps({"type": "MultiPolygon", "coordinates": [
-        hole, [[[-9, -9], [-8, -9], [-8, -8]]]]}))
-    same(edited(tmp_path, "--polygon", path, "--coordinates", "scene")[0],
-         selected(model, (x < 100) | (y < 200)))
+        hole, [[[0.2, 0.2], [0.2, 9], [9, 9], [9, 0.2]]]]}))
+    same(edited(tmp_path, "--polygon", path)[0],
+         selected(model, (x < 0) | (y < 0) | (x > 0.2) & (y > 0.2)))
+    path.write_text(json.dumps({"type": "Polygon", "coordinates": hole, "crs": {
+        "type": "name", "properties": {"name": "EPSG:32633"}}}))
+    result = clsplat_("edit", tmp_path / "model.ply", "-o", tmp_path / "x.ply", "--polygon", path)
+    assert result.exit_code == 2 and "has no georeference" in result.output
 
 
 def test_polygons_lie_on_the_ground_of_a_scene_that_is_not_upright(tmp_path):

@@ -24,7 +24,6 @@ from scipy.special import expit
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import reading
-from clsplat.io.models.quantise import unit
 from clsplat.io.models.spz import packed_spz, unpacked_spz
 from clsplat.io.models.values import (
     LARGEST_LOG_SCALE,
@@ -37,6 +36,7 @@ from clsplat.io.models.values import (
     logits,
     stored_positions,
     stored_rows,
+    unit,
 )
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
@@ -75,11 +75,11 @@ def write_glb(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     """
     positions, origin = stored_positions(gaussians)
     rows = half_turn(stored_rows(gaussians, positions), axis=2)
-    attributes = {name: encode(rows[field]) for name, field, _, encode, _ in ATTRIBUTES}
-    attributes |= zip(HARMONICS, rows["sh_rest"].transpose(1, 0, 2))
-    opacity = attributes[f"{EXTENSION}:OPACITY"]
-    attributes["COLOR_0"] = OPACITY_STEPS.bytes(
-        np.column_stack([colours_of(rows["sh_constant"]), opacity]))
+    attributes = {name: encode(rows[field]).astype("<f4")
+                  for name, field, _, encode, _ in ATTRIBUTES}
+    attributes |= zip(HARMONICS, rows["sh_rest"].astype("<f4").transpose(1, 0, 2))
+    attributes["COLOR_0"] = OPACITY_STEPS.bytes(np.column_stack(
+        [colours_of(rows["sh_constant"]), attributes[f"{EXTENSION}:OPACITY"]]))
     root: dict[str, Any] = {"name": UPRIGHT, "children": [1]}
     if notes.up is not None:
         turn, _ = Rotation.align_vectors([(0.0, 1.0, 0.0)], [notes.up * TURN])
@@ -89,7 +89,14 @@ def write_glb(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     content = b""
     if gaussians.count:  # glTF has no empty accessors
         place["mesh"] = 0
-        content = _add_attributes(document, attributes)
+        content = b"".join(values.tobytes() for values in attributes.values())
+        sizes = [values.nbytes for values in attributes.values()]
+        document |= _mesh(attributes, sortingMethod="cameraDistance", projection="perspective")
+        document["bufferViews"] = [
+            {"buffer": 0, "byteOffset": end - size, "byteLength": size, "target": ARRAY_BUFFER}
+            for size, end in zip(sizes, np.cumsum(sizes).tolist())]
+        for view, accessor in enumerate(document["accessors"]):
+            accessor["bufferView"] = view
     _write(path, document, notes.lines, content)
 
 
@@ -98,22 +105,35 @@ def write_spz_glb(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()
     InputError if the file cannot be written, or SPZ cannot hold a position."""
     local = gaussians.located(np.zeros(3))
     content, degree = packed_spz(path, local, Notes(tuple(comments)))
-    stored = local.positions.astype(np.float64) * (1, -1, -1)
-    # what is inside the buffer: its type, and normalised bytes where it is a colour
-    accessors: dict[str, dict[str, Any]] = {
-        "POSITION": {"type": "VEC3", **_bounds(stored)},
-        "COLOR_0": {"type": "VEC4", "componentType": UNSIGNED_BYTE, "normalized": True},
-        f"{EXTENSION}:SCALE": {"type": "VEC3"}, f"{EXTENSION}:ROTATION": {"type": "VEC4"},
-        **{name: {"type": "VEC3"} for name in HARMONICS[:(degree + 1) ** 2 - 1]}}
+    three, four = (np.broadcast_to(np.float32(0), (gaussians.count, width)) for width in (3, 4))
+    inside: dict[str, NDArray[Any]] = {  # the buffer, from which a viewer unpacks them
+        "POSITION": local.positions * np.array((1, -1, -1), np.float32),
+        "COLOR_0": four.astype(np.uint8),
+        f"{EXTENSION}:SCALE": three, f"{EXTENSION}:ROTATION": four,
+        **dict.fromkeys(HARMONICS[:(degree + 1) ** 2 - 1], three)}
     both = [EXTENSION, COMPRESSION]
-    document = {
+    _write(path, {
         "extensionsUsed": both, "extensionsRequired": both,
         "nodes": [{"name": UPRIGHT, "mesh": 0, "matrix": STORED_TO_Y_UP}],
-        "meshes": [_mesh(accessors, extensions={COMPRESSION: {"bufferView": 0}})],
-        "accessors": [{"componentType": FLOAT, "count": gaussians.count, **each}
-                      for each in accessors.values()],
-        "bufferViews": [{"buffer": 0, "byteLength": len(content)}]}
-    _write(path, document, comments, content)
+        "bufferViews": [{"buffer": 0, "byteLength": len(content)}],
+        **_mesh(inside, extensions={COMPRESSION: {"bufferView": 0}})}, comments, content)
+
+
+def _mesh(attributes: dict[str, NDArray[Any]], **details: Any) -> dict[str, Any]:
+    """The members of a document with a mesh of gaussians, and an accessor for each attribute."""
+    accessors: list[dict[str, Any]] = []
+    for name, values in attributes.items():
+        accessors.append({"count": len(values), "componentType": FLOAT,
+                          "type": "SCALAR" if values.ndim == 1 else f"VEC{values.shape[1]}"})
+        if values.dtype == np.uint8:
+            accessors[-1] |= {"componentType": UNSIGNED_BYTE, "normalized": True}
+        if name == "POSITION":
+            accessors[-1] |= {"min": values.min(axis=0).tolist(),
+                              "max": values.max(axis=0).tolist()}
+    return {"accessors": accessors, "meshes": [{"primitives": [{
+        "mode": POINTS, "attributes": {name: at for at, name in enumerate(attributes)},
+        "extensions": {EXTENSION: {
+            "kernel": "ellipse", "colorSpace": "srgb_rec709_display", **details}}}]}]}
 
 
 def _write(path: Path, document: dict[str, Any], comments: Iterable[str], content: bytes) -> None:
@@ -136,63 +156,22 @@ def _write(path: Path, document: dict[str, Any], comments: Iterable[str], conten
 
 
 def read_glb(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, Notes]:
-    """Read a binary glTF with KHR_gaussian_splatting; see `models.read_with_notes`.
-
-    All its meshes of gaussians become one model.
-    """
+    """Read a binary glTF with KHR_gaussian_splatting, one mesh; see `models.read_with_notes`."""
     with reading(path, f"a binary glTF with {EXTENSION}"):
         document, content = _chunks(read_regular(path))
-        parts = [{each.name: np.zeros((0, *each.row_shape(0))) for each in LEARNED}]
-        origin, size = None, 0
-        for primitive, place in _primitives(document):
-            origin = place if origin is None else origin  # that of the first
-            parts.append(_rows(document, content, primitive))
-            parts[-1]["positions"] = parts[-1]["positions"] + (place - origin)
-            size += sum(values.nbytes for values in parts[-1].values())
-            check_expansion(len(content), size)  # many primitives may name the same gaussians
-        bands = max(rows["sh_rest"].shape[1] for rows in parts)
-        for rows in parts:
-            missing = bands - rows["sh_rest"].shape[1]
-            rows["sh_rest"] = np.pad(rows["sh_rest"], ((0, 0), (0, missing), (0, 0)))
-        joined = {name: np.concatenate([rows[name] for rows in parts]) for name in parts[0]}
+        found = list(_primitives(document))
+        if len(found) > 1 or len(document.get("buffers", ())) > 1:
+            raise ValueError("it has several meshes of gaussians or buffers: join them before")
+        if found:
+            (primitive, origin), = found
+            rows = _rows(document, content, primitive)
+        else:
+            rows = {each.name: np.zeros((0, *each.row_shape(0))) for each in LEARNED}
+            origin = np.zeros(3)
         extras = document.get("asset", {}).get("extras")
         comments = extras.get("comments", ()) if isinstance(extras, dict) else ()
-        return (gaussians_of(path, half_turn(joined, axis=2),
-                             np.zeros(3) if origin is None else origin * TURN, offset),
+        return (gaussians_of(path, half_turn(rows, axis=2), origin * TURN, offset),
                 Notes.of_lines(line for line in comments if isinstance(line, str)))
-
-
-def _mesh(attributes: Iterable[str], **details: Any) -> dict[str, Any]:
-    """A mesh of gaussians, whose attributes are the accessors in this order."""
-    return {"primitives": [{
-        "mode": POINTS, "attributes": {name: at for at, name in enumerate(attributes)},
-        "extensions": {EXTENSION: {
-            "kernel": "ellipse", "colorSpace": "srgb_rec709_display", **details}}}]}
-
-
-def _bounds(positions: NDArray[np.floating]) -> dict[str, list[float]]:
-    """What glTF requires of positions."""
-    return {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
-
-
-def _add_attributes(document: dict[str, Any], attributes: dict[str, NDArray[Any]]) -> bytes:
-    """Add a mesh of gaussians to a document; returns the bytes of its attributes."""
-    views, accessors, content = [], [], bytearray()
-    for at, (name, values) in enumerate(attributes.items()):
-        is_colour = values.dtype == np.uint8
-        data = values if is_colour else values.astype("<f4")
-        views.append({"buffer": 0, "byteOffset": len(content), "byteLength": data.nbytes,
-                      "target": ARRAY_BUFFER})
-        accessors.append({
-            "bufferView": at, "count": len(data),
-            "type": "SCALAR" if data.ndim == 1 else f"VEC{data.shape[1]}",
-            **({"componentType": UNSIGNED_BYTE, "normalized": True} if is_colour else
-               {"componentType": FLOAT}),
-            **(_bounds(data) if name == "POSITION" else {})})
-        content += data.tobytes()
-    document |= {"bufferViews": views, "accessors": accessors, "meshes": [
-        _mesh(attributes, sortingMethod="cameraDistance", projection="perspective")]}
-    return bytes(content)
 
 
 def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
@@ -251,20 +230,15 @@ def _rows(document: dict[str, Any], content: bytes, primitive: dict[str, Any]
     if list(others) == [COMPRESSION]:
         view = document["bufferViews"][others[COMPRESSION]["bufferView"]]
         begin = view.get("byteOffset", 0)
-        if view.get("buffer") != 0 or begin < 0:
-            raise ValueError("its gaussians are in another file, or have an impossible place")
+        if view["buffer"] != 0 or begin < 0:
+            raise ValueError("its gaussians have an impossible place")
         return half_turn(unpacked_spz(content[begin:begin + view["byteLength"]]), axis=2)
     if others:
         raise ValueError(f"its gaussians are compressed with {', '.join(others)}")
     attributes = primitive["attributes"]
 
-    def own(buffer: dict[str, Any]) -> bytes:
-        if "uri" in buffer:
-            raise ValueError("an attribute is in another file")
-        return content
-
     def values(name: str, width: int) -> NDArray[np.float64]:
-        raw = accessor(document, attributes[name], width, own)
+        raw = accessor(document, attributes[name], width, lambda _: content)
         result = raw.astype(np.float64)
         if document["accessors"][attributes[name]].get("normalized") and raw.dtype.kind != "f":
             result = np.maximum(result / np.iinfo(raw.dtype).max, -1)

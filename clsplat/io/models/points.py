@@ -9,7 +9,7 @@ numbers.
 import logging
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -33,7 +33,6 @@ FAR = 1e4  # units from the origin, from which a cloud gets local coordinates of
 VERSION, POINT_FORMAT = "1.4", 7  # with colours of 16 bits, and a CRS as WKT
 STEPS = (1 << 31) - 1  # of a coordinate, above and below its offset
 FINEST_STEP, STEPS_A_SCALE = 1e-6, 10
-ROWS_AT_A_TIME = 1 << 20
 COLOURS = ("red", "green", "blue")
 HEADER, RECORD_HEAD_BYTES = struct.Struct("<96xII"), 54  # offset to the points, records before them
 RECORD_BYTES = 24  # that are read of a point: three coordinates and three colours
@@ -136,31 +135,24 @@ def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | N
                 check_expansion(size, count * max(width, RECORD_BYTES))
             elif header.offset_to_point_data + count * width > size:
                 raise ValueError(f"its {size} bytes are too few for {count} points")
-            points, colours = np.zeros((count, 3)), np.zeros((count, 3), np.uint16)
-            has_colours = set(COLOURS) <= set(header.point_format.dimension_names)
-            done = 0
-            for part in reader.chunk_iterator(ROWS_AT_A_TIME):
-                rows = slice(done, done + len(part))
-                points[rows] = np.stack([part.x, part.y, part.z], axis=1)
-                if has_colours:
-                    colours[rows] = np.stack([part[name] for name in COLOURS], axis=1)
-                done += len(part)
-            if done != count:
-                raise ValueError(f"it has {done} points, not {count}")
+            found = reader.read()
+        points, colours = np.array(found.xyz), None
+        if len(points) != count:
+            raise ValueError(f"it has {len(points)} points, not {count}")
+        if set(COLOURS) <= set(header.point_format.dimension_names):
+            colours = np.stack([found[name] for name in COLOURS], axis=1)
         if crs is not None:
             points = _converted(path, header, crs, points)
-        return _cloud(path, points, colours if colours.any() else None, offset), Notes()
+        return _cloud(path, points, colours if np.any(colours) else None, offset), Notes()
 
 
 def _converted(path: Path, header: Any, crs: str, points: NDArray[np.float64]
                ) -> NDArray[np.float64]:
     """Points in a CRS; as they are if the file names none that is known."""
-    try:
+    system = None
+    with suppress(Exception):  # of any kind, for damaged records
         system = header.parse_crs()
-    except Exception:  # noqa: BLE001  (of any kind, for damaged records)
-        system = None
-    found = None if system is None else cloud_on_map(system, crs, points, path)
-    if found is None:
+    if system is None or (found := cloud_on_map(system, crs, points, path)) is None:
         return points
     logging.getLogger(__name__).warning("%s: its points are converted from %s to %s", path,
                                         clean(system.name), clean(crs))

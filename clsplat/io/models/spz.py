@@ -23,16 +23,18 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import reading
-from clsplat.io.models.quantise import from_smallest_three, morton_order, smallest_three
 from clsplat.io.models.values import (
     MIP,
     OPACITY_STEPS,
     Notes,
     Steps,
     byte_logits,
+    from_smallest_three,
     gaussians_of,
     half_turn,
+    morton_order,
     opacities,
+    smallest_three,
     stored_positions,
     stored_rows,
 )

@@ -24,6 +24,7 @@ MIP = f"{MODE}mip"  # with --antialiased
 LEAST_OPACITY, GREATEST_OPACITY = 1e-30, 1 - 2.0**-24
 LARGEST_LOG_SCALE = 80.0
 MOST_LEFT_OUT = 0.5  # of a file's rows; one with more is damaged
+MORTON_BITS = 21  # of each axis
 TOLERANCE = 1e-3  # of the median scale: the error of a position that needs double precision
 
 
@@ -202,3 +203,51 @@ def stored_rows(gaussians: Gaussians, positions: NDArray[np.float64],
     `stored_positions`."""
     rows = {field.name: gaussians.rows[field.name].astype(np.float64) for field in LEARNED}
     return {name: values[order] for name, values in {**rows, "positions": positions}.items()}
+
+
+def morton_order(positions: NDArray[np.floating]) -> NDArray[np.intp]:
+    """The order int[N] along a Z-order curve: neighbours in space become neighbours in the file,
+    which then compresses better."""
+    if not len(positions):
+        return np.zeros(0, np.intp)
+    span = np.maximum(np.ptp(positions, axis=0), np.finfo(np.float64).tiny)
+    cells = ((positions - positions.min(axis=0)) / span * ((1 << MORTON_BITS) - 1)).astype(
+        np.uint64)
+    code = np.zeros(len(positions), np.uint64)
+    for bit in range(MORTON_BITS):
+        for axis in range(3):
+            code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+def unit(quaternions: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Quaternions float64[N, 4] of unit length; zero becomes 1, 0, 0, 0."""
+    values = quaternions.astype(np.float64)
+    length = np.linalg.norm(values, axis=1, keepdims=True)
+    return np.where(length > 0, values / np.where(length > 0, length, 1), (1.0, 0, 0, 0))
+
+
+def smallest_three(quaternions: NDArray[np.floating]
+                   ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Quaternions [N, 4] of any length without their largest component, which follows from the
+    others if they have unit length.
+
+    Returns
+    -------
+    int[N], which component is the largest, and float64[N, 3], the others in their order, signed so
+    that the largest is positive: within -1 / sqrt(2) to 1 / sqrt(2).
+    """
+    values = unit(quaternions)
+    largest = np.abs(values).argmax(axis=1)
+    values *= np.where(np.take_along_axis(values, largest[:, None], 1) < 0, -1, 1)
+    return largest, values[np.arange(4) != largest[:, None]].reshape(-1, 3)
+
+
+def from_smallest_three(largest: NDArray[np.integer], others: NDArray[np.float64]
+                        ) -> NDArray[np.float64]:
+    """The quaternions float64[N, 4] that `smallest_three` packed."""
+    values = np.empty((len(others), 4))
+    mask = np.arange(4) != largest[:, None]
+    values[mask] = others.ravel()
+    values[~mask] = np.sqrt(np.maximum(0, 1 - (others**2).sum(axis=1)))
+    return values

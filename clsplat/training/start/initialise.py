@@ -18,7 +18,7 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.formats import count_of, read_model
-from clsplat.io.models.quantise import morton_order
+from clsplat.io.models.values import morton_order
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.options import TrainOptions, seconds_of
 from clsplat.scene import Scene
