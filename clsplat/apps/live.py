@@ -67,7 +67,7 @@ def show_run(run: Run, device: Device, opened: Callable[[str], object], port: in
         while True:
             request = requests.next(IDLE)
             if request:
-                request.attempt(partial(request.draw, renderer, rows, model.sh_degree))
+                request.attempt(partial(request.drawn, renderer, rows, model.sh_degree))
 
 
 class TrainingView(SilentProgress):
@@ -127,7 +127,7 @@ class TrainingView(SilentProgress):
 
     def is_due(self) -> bool:
         """Whether a frame is wanted, and drawing has not taken its share of the time."""
-        if self._requests.is_empty:
+        if self._requests.empty():
             return False
         return time.perf_counter() - self._drawn_until >= self._seconds * (1 / SHARE - 1)
 
@@ -139,11 +139,9 @@ class TrainingView(SilentProgress):
         begin = time.perf_counter()
         # gives its memory to the frame; an error of a step under way belongs to the training
         session.step.release()
-        request.attempt(partial(self._draw, request, session))
+        request.attempt(lambda: request.drawn(
+            session.renderer, session.model.current_rows(), session.options.sh_degree,
+            session.scene.unit / self._unit))
+        session.device.trim()
         self._drawn_until = time.perf_counter()
         self._seconds = self._drawn_until - begin
-
-    def _draw(self, request: FrameRequest, session: Session) -> None:
-        request.draw(session.renderer, session.model.current_rows(), session.options.sh_degree,
-                     session.scene.unit / self._unit)
-        session.device.trim()

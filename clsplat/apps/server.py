@@ -14,7 +14,9 @@ import os
 import secrets
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as NotInTime
+from dataclasses import dataclass, field, replace
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from queue import Empty, SimpleQueue
@@ -22,7 +24,6 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsplat.camera import Camera, numbers
 from clsplat.errors import InputError
@@ -33,13 +34,10 @@ LOOPBACK = "127.0.0.1"
 PORT = 8642  # if it is free
 PATIENCE = 20.0  # seconds, for a frame: a training may evaluate in between
 JPEG_QUALITY = 90
-MOST_CONNECTIONS = 32  # at once, so that files are left for a training
 IDLE_SECONDS = 15  # without a byte of a request
 LONGEST_BODY = 4096  # bytes of a request
 LARGEST_SIDE, LARGEST_FRAME = 4096, 2560 * 1600  # pixels
-ENDED = "no frames are drawn any more"
 LEAST_COVER = 0.5  # of a pixel, for which its depth is known
-FURTHEST = 1e9  # beyond it, a number in a request is a mistake
 HEADERS = {
     "Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY",
@@ -49,48 +47,31 @@ HEADERS = {
                                "connect-src 'self'; base-uri 'none'; form-action 'none'"}
 
 
+@dataclass(frozen=True, eq=False)
 class FrameRequest:
     """A frame that someone waits for.
 
-    Parameters
+    Attributes
     ----------
     camera : of the frame, in the world of the page.
     wants_depth : whether only the depth of what its pixels show is wanted.
-
-    Attributes
-    ----------
-    image : float32[H, W, 3], 0 to 1, once it is drawn.
-    depth : the mean over pixels, world units; None where they show nothing that is opaque.
-    problem : why it could not be drawn, or "".
+    answer : becomes the frame, float32[H, W, 3], 0 to 1; or the mean depth, world units, None if
+        the pixels show nothing that is opaque.
     """
 
-    def __init__(self, camera: Camera, wants_depth: bool = False) -> None:
-        self.camera, self.wants_depth = camera, wants_depth
-        self.image: NDArray[np.float32] | None = None
-        self.depth: float | None = None
-        self.problem = ""
-        self.is_abandoned = False
-        self._done = threading.Event()
+    camera: Camera
+    wants_depth: bool = False
+    answer: Future[Any] = field(default_factory=Future)
 
-    def wait(self, seconds: float) -> bool:
-        """Wait until it is answered, at most so long; afterwards nobody draws it any more."""
-        self.is_abandoned = not self._done.wait(seconds)
-        return not self.is_abandoned
-
-    def answer(self, problem: str = "") -> None:
-        """Tell who waits that it is drawn, or why it is not."""
-        self.problem = problem
-        self._done.set()
-
-    def attempt(self, draw: Callable[[], object]) -> None:
-        """Call what draws this frame, whose failure is told to who waits and ends nothing else."""
+    def attempt(self, draw: Callable[[], Any]) -> None:
+        """Answer with what a function draws; its failure ends nothing else."""
         try:
-            draw()
+            self.answer.set_result(draw())
         except Exception as error:  # noqa: BLE001  (memory, for example)
-            self.answer(f"this frame could not be drawn ({type(error).__name__}: {error})")
+            self.answer.set_exception(error)
 
-    def draw(self, renderer: Any, rows: Any, degree: int, unit: float = 1.0) -> None:
-        """Draw it and answer.
+    def drawn(self, renderer: Any, rows: Any, degree: int, unit: float = 1.0) -> Any:
+        """What `answer` becomes.
 
         Parameters
         ----------
@@ -101,47 +82,25 @@ class FrameRequest:
         packed = renderer.pack(replace(camera, translation=camera.translation / unit))
         frame = renderer.render(rows, packed, camera.width, camera.height, degree,
                                 with_depth=self.wants_depth)
-        if self.wants_depth:
-            cover = 1 - float(frame.blended.transmittance.download().mean())
-            if cover > LEAST_COVER:
-                self.depth = unit * float(frame.blended.depth.download().mean()) / cover
-        else:
-            self.image = np.clip(frame.image.download().transpose(1, 2, 0), 0, 1)
-        self.answer()
+        if not self.wants_depth:
+            return np.clip(frame.image.download().transpose(1, 2, 0), 0, 1)
+        cover = 1 - float(frame.blended.transmittance.download().mean())
+        return (unit * float(frame.blended.depth.download().mean()) / cover
+                if cover > LEAST_COVER else None)
 
 
-class FrameRequests:
+class FrameRequests(SimpleQueue[FrameRequest]):
     """The requests that wait, the oldest first."""
 
-    def __init__(self) -> None:
-        self._waiting: SimpleQueue[FrameRequest] = SimpleQueue()
-        self._ended = False
-
-    def add(self, request: FrameRequest) -> None:
-        """Let a request wait for the thread that draws."""
-        self._waiting.put(request)
-        if self._ended:
-            self.end()
-
-    def end(self) -> None:
-        """From now on nobody draws: no request waits any more."""
-        self._ended = True
-        while request := self.next():
-            request.answer(ENDED)
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether none waits; does not wait itself."""
-        return self._waiting.empty()
-
     def next(self, patience: float = 0.0) -> FrameRequest | None:
-        """The next request, or None if none comes within so many seconds."""
+        """The next request for which somebody still waits, or None if none comes within so many
+        seconds."""
         while True:
             try:
-                request = self._waiting.get(block=patience > 0, timeout=patience or None)
+                request = self.get(block=patience > 0, timeout=patience or None)
             except Empty:
                 return None
-            if not request.is_abandoned:
+            if request.answer.set_running_or_notify_cancel():
                 return request
 
 
@@ -177,34 +136,16 @@ class ViewServer:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
-        self.requests.end()
         self._server.shutdown()
         self._server.server_close()
+        while request := self.requests.next():
+            request.answer.set_exception(InputError("no frames are drawn any more"))
 
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True  # a browser that keeps its connection must not hold up the end
     block_on_close = False
     allow_reuse_address = os.name != "nt"  # on Windows two servers would share a port
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread, or close a connection that is one too many: its file is one that the
-        training needs."""
-        if not self._places.acquire(blocking=False):
-            self.shutdown_request(request)
-            return
-        super().process_request(request, client_address)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer, then give the place free."""
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self._places.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that goes away is no error."""
@@ -260,16 +201,19 @@ class _Handler(BaseHTTPRequestHandler):
         except (ValueError, InputError) as error:
             self._refuse(400, f"not a camera: {error}")
             return
-        self.view.requests.add(request)
-        if not request.wait(PATIENCE):
+        self.view.requests.put(request)
+        try:
+            answer = request.answer.result(PATIENCE)
+        except NotInTime:  # before Python 3.11 not the built-in one
+            request.answer.cancel()
             self._refuse(503, "not drawn in time")
-        elif request.problem:
-            self._refuse(500, request.problem)
-        elif request.wants_depth:
-            self._send_json({"depth": request.depth})
+        except Exception as error:  # noqa: BLE001  (of the drawing, which the page shows)
+            self._refuse(500, f"this frame could not be drawn ({type(error).__name__}: {error})")
         else:
-            assert request.image is not None  # it was drawn
-            self._send(200, "image/jpeg", encode_jpeg(request.image, JPEG_QUALITY))
+            if request.wants_depth:
+                self._send_json({"depth": answer})
+            else:
+                self._send(200, "image/jpeg", encode_jpeg(answer, JPEG_QUALITY))
 
     def _body(self) -> bytes:
         length = int(self.headers.get("Content-Length") or "")
@@ -325,6 +269,4 @@ def camera_of(text: bytes) -> Camera:
         raise ValueError(f"{error}") from None
     if max(width, height) > LARGEST_SIDE or width * height > LARGEST_FRAME:
         raise ValueError("width and height are no size of a frame")
-    if np.abs((*position, *centre)).max() >= FURTHEST:
-        raise ValueError("its numbers are too large")
     return camera

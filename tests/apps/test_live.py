@@ -89,7 +89,7 @@ class Eager(TrainingView):
         number = len(self.requests)
         request = FrameRequest(self._cameras[number % len(self._cameras)], number % 5 == 4)
         self.requests.append(request)
-        self._requests.add(request)
+        self._requests.put(request)
         return True
 
 
@@ -104,14 +104,15 @@ def test_watching_changes_no_byte(item_device, city, tmp_path, changes):
         train(city, options_of(**changes), item_device, run, view, watcher=view)
     options = options_of(**changes)
     assert len(view.requests) == options.iterations and not any(
-        request.problem for request in view.requests)
+        request.answer.exception(0) for request in view.requests)
     assert model_digest(run) == model_digest(plain)
     assert view._status["total"] == options.iterations and len(view._status["losses"]) > 1
     last = view.requests[-2]  # the last steps change little
     model = Run.open(run.path).model
     shown = render_view(*open_model(item_device, model, city.near_plane), model.sh_degree,
                         last.camera.shifted(model.offset - last.camera.offset))
-    assert np.abs(shown - last.image).mean() < 0.02 < last.image.std()
+    image = last.answer.result(0)
+    assert np.abs(shown - image).mean() < 0.02 < image.std()
 
 
 @pytest.mark.slow
@@ -122,7 +123,7 @@ def test_a_frame_that_cannot_be_drawn_harms_nothing(item_device, city, tmp_path,
 
     def no_memory(*_):
         raise MemoryError("too large")
-    monkeypatch.setattr(FrameRequest, "draw", no_memory)
+    monkeypatch.setattr(FrameRequest, "drawn", no_memory)
     run, answers = watched(tmp_path / "watched", city, item_device, **changes)
     assert answers and {code for code, _ in answers} == {500}
     assert all(b"MemoryError: too large" in text for _, text in answers[:-2])
