@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,10 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from clsplat.apps.orthophoto import LEAST_VIEWS, shown_by
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.io.reason import reason
+from clsplat.io.fields import LARGEST_COORDINATE, number, reading
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
-from clsplat.io.scenes.posed import FLIPPED, exact_poses
+from clsplat.io.scenes.posed import FLIPPED
 from clsplat.scene import Scene
 
 # a film looks from where photos were taken, so the angle of view is at most theirs, and at least
@@ -34,10 +33,6 @@ TURNING = 1.0  # seconds, the standard deviation of the filter of turns
 KEYS_OF_A_PATH, PATH_KEYS = 30, (64, 2000)  # a second; least and most
 FINER = 8  # places of a curve for each key
 ROUNDING = 1e-9  # of the coordinates: shorter ways are none
-MOST_KEYS = 100_000
-FARTHEST = 1e12  # units: the largest coordinate that a path may have
-ORTHOGONAL = 1e-6  # largest error of a rotation, which `exact_poses` has made exact
-KEYS_A_TURN = 72
 LEAST_STEP = 1e-9  # of a path's time, between two keys
 # of the film over a survey whose photos look down
 LOOKS_DOWN = 45.0  # degrees from the vertical, median of the photos
@@ -57,7 +52,7 @@ class Keys:
 
     Attributes
     ----------
-    times : float64[K], ascending, 0 to 1: the share of the film at which each is reached.
+    times : float64[K], K > 1, ascending from 0 to 1: the share of the film at which each is reached.
     positions : float64[K, 3], in original coordinates.
     rotations : float64[K, 3, 3], from the world to the camera.
     degrees : float64[K], horizontal angle of view; None: of the film as a whole.
@@ -78,24 +73,19 @@ def interpolated(keys: Keys, times: NDArray[np.float64], size: tuple[int, int], 
 
     Parameters
     ----------
-    keys : at least one.
+    keys : of the path.
     times : float64[N], shares of the film.
     size : (width, height) of the film, pixels.
     degrees : horizontal angle of view, where the keys have none.
     """
-    count = len(times)
-    if len(keys.times) == 1:
-        positions = np.repeat(keys.positions, count, axis=0)
-        rotations = np.repeat(keys.rotations, count, axis=0)
-        angles = np.full(count, degrees if keys.degrees is None else keys.degrees[0])
-    else:
-        positions = PchipInterpolator(keys.times, keys.positions)(times)
-        turns = RotationSpline(keys.times, Rotation.from_matrix(keys.rotations))
-        rotations = turns(times).as_matrix()
-        angles = (np.full(count, degrees) if keys.degrees is None
-                  else PchipInterpolator(keys.times, keys.degrees)(times))
-    return [_camera(position, rotation, size, angle)
-            for position, rotation, angle in zip(positions, rotations, angles)]
+    positions = PchipInterpolator(keys.times, keys.positions)(times)
+    turns = RotationSpline(keys.times, Rotation.from_matrix(keys.rotations))
+    angles = (np.full(len(times), degrees) if keys.degrees is None
+              else PchipInterpolator(keys.times, keys.degrees)(times))
+    focals = size[0] / (2 * np.tan(np.radians(angles) / 2))
+    return [Camera(*size, (focal, focal), (size[0] / 2, size[1] / 2), rotation,
+                   -rotation @ position)
+            for position, rotation, focal in zip(positions, turns(times).as_matrix(), focals)]
 
 
 def flight(scene: Scene, seconds: float) -> Keys:
@@ -107,24 +97,21 @@ def flight(scene: Scene, seconds: float) -> Keys:
     scene : its cameras; a long series is thinned out, or the film would rush.
     seconds : length of the film.
     """
-    cameras = [view.camera for view in scene.views]
-    number = min(max(4, round(KEYS_A_SECOND * seconds)), len(cameras))
-    chosen = np.unique(np.linspace(0, len(cameras) - 1, number).round().astype(int))
-    positions = _original(scene, np.array([cameras[i].position for i in chosen]))
-    quaternions = Rotation.from_matrix(
-        np.array([cameras[i].rotation for i in chosen])).as_quat()
+    count = len(scene.views)
+    number = max(2, min(max(4, round(KEYS_A_SECOND * seconds)), count))
+    chosen = [scene.views[i].camera
+              for i in np.linspace(0, count - 1, number).round().astype(int)]
+    positions = _original(scene, chosen)
+    quaternions = Rotation.from_matrix([camera.rotation for camera in chosen]).as_quat()
+    # q and -q are the same turn
+    opposite = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0
+    quaternions[1:] *= np.cumprod(np.where(opposite, -1, 1))[:, None]
     return _steady(positions, quaternions, seconds)
 
 
 def _steady(positions: NDArray[np.float64], quaternions: NDArray[np.float64], seconds: float
             ) -> Keys:
     """A smooth curve along places, at a constant speed; if all are one place, it turns there."""
-    quaternions = quaternions.copy()
-    for i in range(1, len(quaternions)):  # q and -q are the same turn
-        if quaternions[i] @ quaternions[i - 1] < 0:
-            quaternions[i] = -quaternions[i]
-    if len(positions) < 2:
-        return Keys(np.zeros(1), positions, Rotation.from_quat(quaternions).as_matrix())
     number = int(np.clip(KEYS_OF_A_PATH * seconds, *PATH_KEYS))
     coarse = np.arange(len(positions))
     fine = np.linspace(0, coarse[-1], FINER * max(number, len(positions)))
@@ -138,8 +125,8 @@ def _steady(positions: NDArray[np.float64], quaternions: NDArray[np.float64], se
     along = np.concatenate([[0], np.cumsum(ways + LEAST_STEP * ways.mean())])
     times = np.linspace(0, 1, number)
     where = np.interp(times, along / along[-1], fine)
-    turns = interp1d(coarse, quaternions, axis=0)(where)
-    turns = gaussian_filter1d(turns, TURNING * number / seconds, axis=0, mode="nearest")
+    turns = gaussian_filter1d(interp1d(coarse, quaternions, axis=0)(where),
+                              TURNING * number / seconds, axis=0, mode="nearest")
     return Keys(times, middle + interp1d(fine, curve, axis=0)(where),
                 Rotation.from_quat(turns).as_matrix())
 
@@ -175,21 +162,24 @@ def _overflight(scene: Scene, places: NDArray[np.float64], seconds: float) -> Ke
     if half[0] > LONG * half[1]:
         targets = _middle_line(flat, low[0], high[0], beyond * distance)
         ahead = np.gradient(targets, axis=0)
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     else:
-        sweep = math.radians(min(360.0, TURN * seconds))
-        angles = np.linspace(-sweep / 2, sweep / 2, 181)
-        targets = np.zeros((len(angles), 2)) + (low + high) / 2
-        first = _heading(scene, plane)
-        ahead = np.stack([np.cos(first + angles), np.sin(first + angles)], axis=1)
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    forward = math.cos(below) * ahead @ plane - math.sin(below) * up
-    aims = middle + targets @ plane
-    views = [Camera.looking_at(aim, aim - distance * each, up=up)
-             for aim, each in zip(aims, forward)]
-    positions = scene.offset + scene.unit * np.array([view.position for view in views])
+        ahead = _headings(scene, plane, math.radians(min(360.0, TURN * seconds)))
+        targets = np.zeros_like(ahead) + (low + high) / 2
+    keys = _looking_down(scene, middle + targets @ plane, ahead @ plane, below, distance)
+    return replace(keys, degrees=np.full(len(targets), OBLIQUE_DEGREES))
+
+
+def _looking_down(scene: Scene, aims: NDArray[np.float64], ahead: NDArray[np.float64], below: float,
+                  distance: float) -> Keys:
+    """Keys at a distance from places [K, 3] at which they look, in horizontal directions [K, 3],
+    so many radians below the horizon, at a constant speed."""
+    forward = math.cos(below) * ahead - math.sin(below) * scene.up
+    cameras = [Camera.looking_at(aim, aim - distance * each, up=scene.up)
+               for aim, each in zip(aims, forward)]
+    positions = _original(scene, cameras)
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-    return Keys(along / along[-1], positions, np.array([view.rotation for view in views]),
-                np.full(len(views), OBLIQUE_DEGREES))
+    return Keys(along / along[-1], positions, np.array([each.rotation for each in cameras]))
 
 
 def turntable(scene: Scene) -> Keys:
@@ -207,24 +197,12 @@ def turntable(scene: Scene) -> Keys:
     up, middle = scene.up, np.median(scene.points, axis=0)
     away = np.array([view.camera.position for view in scene.views]) - middle
     distances = np.linalg.norm(away, axis=1)
-    elevation = np.degrees(np.median(np.arcsin(np.clip(away @ up / np.maximum(
-        distances, 1e-12), -1, 1))))
-    elevation = math.radians(float(np.clip(elevation, *ELEVATIONS)))
-    radius = float(np.median(distances)) or scene.extent
-    # begins where most photos are
-    level = np.mean(away - np.outer(away @ up, up), axis=0)
-    if np.linalg.norm(level) < 1e-6 * radius:
-        level = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    first = level / np.linalg.norm(level)
-    second = np.cross(up, first)
-    cameras = []
-    for angle in np.linspace(0, 2 * np.pi, KEYS_A_TURN + 1):
-        out = math.cos(angle) * first + math.sin(angle) * second
-        position = middle + radius * (math.cos(elevation) * out + math.sin(elevation) * up)
-        cameras.append(Camera.looking_at(middle, position, up=up))
-    return Keys(np.linspace(0, 1, KEYS_A_TURN + 1),
-                _original(scene, np.array([camera.position for camera in cameras])),
-                np.array([camera.rotation for camera in cameras]))
+    elevation = np.median(np.arcsin(np.clip(away @ up / np.maximum(distances, 1e-12), -1, 1)))
+    plane = _axes(scene.points, up)
+    ahead = _headings(scene, plane, 2 * math.pi) @ plane
+    return _looking_down(scene, middle + np.zeros_like(ahead), ahead,
+                         float(np.clip(elevation, *np.radians(ELEVATIONS))),
+                         float(np.median(distances)) or scene.extent)
 
 
 def film_degrees(scene: Scene) -> float:
@@ -246,50 +224,38 @@ def read_camera_path(path: Path) -> Keys:
     ------
     clsplat.ClsplatError : it is not such a file, or is damaged.
     """
-    try:
+    with reading(path, "a camera path", "it is JSON as transforms.json, see the guide"):
         table = object_of(read_regular(path))
-        frames = table.get("frames")
-        if not isinstance(frames, list) or not 0 < len(frames) <= MOST_KEYS:
-            raise ValueError("frames is not a list of keys")
-        frames = [{**table, **frame} for frame in frames]
+        frames = [{**table, **frame} for frame in table["frames"]]
+        if len(frames) == 1:  # the camera stands still
+            frames = [{**frames[0], "time": time} for time in (0, 1)]
         matrices = np.array([frame["transform_matrix"] for frame in frames], np.float64)
-        if matrices.shape[1:] not in ((3, 4), (4, 4)) or not (abs(matrices) <= FARTHEST).all():
+        if matrices.shape[1:] not in ((3, 4), (4, 4)) or not (
+                abs(matrices) <= LARGEST_COORDINATE).all():
             raise ValueError("transform_matrix is not a 3x4 or 4x4 matrix of numbers")
-        rotations, translations = exact_poses(
-            (matrices[:, :3, :3] * FLIPPED).transpose(0, 2, 1), matrices[:, :3, 3])
-        turns = abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max() <= ORTHOGONAL
-        if not turns or (np.linalg.det(rotations) < 0).any():
-            raise ValueError("transform_matrix does not hold a rotation")
-        times = _times(frames)
-        angles = [_degrees(frame) for frame in frames]
-        known = [angle for angle in angles if angle is not None]
-        if known and len(known) < len(frames):
+        turns = Rotation.from_matrix((matrices[:, :3, :3] * FLIPPED).transpose(0, 2, 1))
+        degrees = [_degrees(frame) for frame in frames]
+        if None in degrees and any(degrees):
             raise ValueError("some keys have an angle of view and others none")
-    except (OSError, ValueError, TypeError, KeyError, OverflowError, RecursionError,
-            json.JSONDecodeError) as error:
-        raise InputError(f"{path}: not a camera path ({reason(error)}); it is JSON as "
-                         "transforms.json, see the guide") from None
-    positions = -(rotations.transpose(0, 2, 1) @ translations[:, :, None])[:, :, 0]
-    return Keys(times, positions, rotations, np.array(known) if known else None)
+        return Keys(_times(frames), matrices[:, :3, 3], turns.as_matrix(),
+                    None if None in degrees else np.array(degrees, np.float64))
 
 
 def _times(frames: Sequence[dict[str, Any]]) -> NDArray[np.float64]:
     if not any("time" in frame for frame in frames):
-        return np.linspace(0, 1, len(frames)) if len(frames) > 1 else np.zeros(1)
-    times = np.array([frame["time"] for frame in frames], np.float64)
-    if times.shape != (len(frames),) or not (abs(times) <= FARTHEST).all():
-        raise ValueError("time is not a number of seconds")
+        return np.linspace(0, 1, len(frames))
+    times = np.array([number(frame.get("time"), "time") for frame in frames])
     shares: NDArray[np.float64] = (times - times[0]) / ((times[-1] - times[0]) or 1)
-    if (np.diff(times) <= 0).any() or (np.diff(shares) < LEAST_STEP).any():
+    if (np.diff(shares) < LEAST_STEP).any():
         raise ValueError("time does not ascend")
     return shares
 
 
 def _degrees(frame: dict[str, Any]) -> float | None:
     if "camera_angle_x" in frame:
-        angle = float(frame["camera_angle_x"])
+        angle = number(frame["camera_angle_x"], "camera_angle_x")
     elif "fl_x" in frame and "w" in frame:
-        angle = 2 * math.atan(float(frame["w"]) / 2 / float(frame["fl_x"])) if frame["fl_x"] else 0
+        angle = 2 * math.atan2(number(frame["w"], "w") / 2, number(frame["fl_x"], "fl_x"))
     else:
         return None
     if not 0 < angle < math.pi:
@@ -297,15 +263,9 @@ def _degrees(frame: dict[str, Any]) -> float | None:
     return math.degrees(angle)
 
 
-def _original(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    return scene.offset + scene.unit * points
-
-
-def _camera(position: NDArray[np.float64], rotation: NDArray[np.float64], size: tuple[int, int],
-            degrees: float) -> Camera:
-    focal = size[0] / (2 * math.tan(math.radians(degrees) / 2))
-    return Camera(*size, (focal, focal), (size[0] / 2, size[1] / 2), rotation,
-                  -rotation @ position)
+def _original(scene: Scene, cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """[K, 3]: where cameras are in the coordinates of the scene's files."""
+    return scene.offset + scene.unit * np.array([camera.position for camera in cameras])
 
 
 def _covered(scene: Scene) -> NDArray[np.float64]:
@@ -323,11 +283,13 @@ def _axes(places: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.fl
     return axes
 
 
-def _heading(scene: Scene, plane: NDArray[np.float64]) -> float:
-    """The angle on a plane in which the scene's first view looks."""
+def _headings(scene: Scene, plane: NDArray[np.float64], sweep: float) -> NDArray[np.float64]:
+    """[181, 2]: directions on a plane that turn by `sweep` radians about the one in which the
+    scene's first view looks."""
     first = scene.first_view.rotation
     x, y = plane @ (first[2] - first[1])  # not vertical, even if it looks straight down
-    return math.atan2(y, x)
+    angles = math.atan2(y, x) + np.linspace(-sweep / 2, sweep / 2, 181)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def _middle_line(flat: NDArray[np.float64], low: float, high: float, margin: float

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from fractions import Fraction
-from io import BufferedWriter
 from pathlib import Path
 from typing import Any
 
@@ -29,17 +27,11 @@ from clsplat.scene import Scene
 
 try:
     import av
-    import av.filter
 except ImportError:
     av = None  # type: ignore[assignment]
 
 FRAME = re.compile(r"frame_\d{5,}\.png")
-GIF = ".gif"
-SUFFIXES = (".mp4", ".mov", ".mkv", GIF)
-# a palette of each frame, as one of all would need all of them in memory; 64 colours in a pattern
-# that does not flicker have half the bytes of 256
-PALETTE = (("split", ""), ("palettegen", "stats_mode=single:max_colors=64"),
-           ("paletteuse", "new=1:dither=bayer:bayer_scale=5"))
+SUFFIXES = (".mp4", ".mov", ".mkv")
 QUALITY = "18"  # constant rate factor of H.264: hardly different from the frames
 LIMITED_RANGE = BT709 = 1  # numbers of ITU-T H.273, by which players find the colours
 Pixels = NDArray[np.uint8]  # [H, W, 3]
@@ -84,49 +76,15 @@ def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device,
         yield eight_bits(frame.image.download().transpose(1, 2, 0))
 
 
-class _Sink:
-    """A file that av writes to. It drops exceptions of its files, so the first is kept, and raised
-    between two frames.
-
-    Parameters
-    ----------
-    file : open for writing; av finds it by its name too.
-    """
-
-    def __init__(self, file: BufferedWriter) -> None:
-        self.file, self.name = file, file.name
-        self.error: OSError | None = None
-        self.seek, self.tell = file.seek, file.tell
-
-    def write(self, content: bytes) -> int:
-        """Write to the disk, unless that has failed before."""
-        if self.error is None:
-            try:
-                self.put(content)
-            except OSError as error:
-                self.error = error
-        return len(content)
-
-    def put(self, content: bytes) -> None:
-        """Write, and see at once whether the disk is full."""
-        self.file.write(content)
-        self.file.flush()
-
-    def check(self) -> None:
-        """Raise the OSError of a write."""
-        if self.error is not None:
-            raise self.error
-
-
 def write_film(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], rate: Fraction,
                shown: Callable[[int], object] = lambda _: None) -> None:
-    """Replace a film: H.264 with 4:2:0 colours, which every player shows, or a GIF without end.
+    """Replace a film: H.264 with 4:2:0 colours, which every player shows.
 
     Parameters
     ----------
     path : the file; its suffix, one of SUFFIXES, selects the container.
     pictures : the frames.
-    size : (width, height), pixels; of H.264 even numbers.
+    size : (width, height), pixels, even numbers.
     rate : frames a second.
     shown : called with the number of frames so far.
 
@@ -136,63 +94,27 @@ def write_film(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], ra
     """
     check_codec()
     kind = {".mkv": "matroska"}.get(path.suffix.lower(), path.suffix.lower()[1:])
-    coder = _gif if kind == GIF[1:] else _h264
-    with replacing(path) as file:
-        sink = _Sink(file)
-        # the index first, so that a page can play the film while it loads
-        options = {"movflags": "faststart"} if kind in ("mp4", "mov") else {}
-        with av.open(sink, mode="w", format=kind, options=options) as container:
-            for number, packets in enumerate(coder(container, pictures, size, rate), 1):
-                container.mux(packets)
-                sink.check()
-                shown(number)
-        sink.check()
-
-
-def _h264(container: Any, pictures: Iterable[Pixels], size: tuple[int, int], rate: Fraction
-          ) -> Iterator[Any]:
-    """The packets of each frame; those that come late are muxed at once."""
-    stream = container.add_stream("libx264", rate=rate)
-    stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
-    stream.options = {"crf": QUALITY}
-    coder = stream.codec_context
-    coder.color_range, coder.colorspace = LIMITED_RANGE, BT709
-    coder.color_primaries = coder.color_trc = BT709
-    for picture in pictures:
-        yield stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(
-            format="yuv420p", dst_colorspace="ITU709"))
-    container.mux(stream.encode())
-
-
-def _gif(container: Any, pictures: Iterable[Pixels], size: tuple[int, int], rate: Fraction
-         ) -> Iterator[Any]:
-    """The packets of each frame."""
-    stream = container.add_stream("gif", rate=rate)
-    stream.width, stream.height, stream.pix_fmt = *size, "pal8"
-    graph = av.filter.Graph()
-    source = graph.add_buffer(width=size[0], height=size[1],
-                              format=av.VideoFormat("rgb24"), time_base=1 / rate)
-    split, palette, use = (graph.add(*each) for each in PALETTE)
-    sink = graph.add("buffersink")
-    source.link_to(split)
-    split.link_to(use, 0, 0)
-    split.link_to(palette, 1, 0)
-    palette.link_to(use, 0, 1)
-    use.link_to(sink)
-    graph.configure()
-    for number, picture in enumerate(pictures):
-        frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
-        frame.pts, frame.time_base = number, 1 / rate
-        source.push(frame)
-        yield stream.encode(sink.pull())
-    container.mux(stream.encode())
+    # the index first, so that a page can play the film while it loads
+    options = {} if kind == "matroska" else {"movflags": "faststart"}
+    with replacing(path) as file, av.open(file.name, mode="w", format=kind,
+                                          options=options) as container:
+        stream: Any = container.add_stream("libx264", rate=rate)
+        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        stream.options = {"crf": QUALITY}
+        coder = stream.codec_context
+        coder.color_range, coder.colorspace = LIMITED_RANGE, BT709
+        coder.color_primaries = coder.color_trc = BT709
+        for number, picture in enumerate(pictures, 1):
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            container.mux(stream.encode(frame.reformat(format="yuv420p",
+                                                       dst_colorspace="ITU709")))
+            shown(number)
+        container.mux(stream.encode())
 
 
 def write_frames(folder: Path, pictures: Iterable[Pixels],
                  shown: Callable[[int], object] = lambda _: None) -> None:
     """Write FOLDER/frame_00001.png and so on, in place of `frames_in` the folder.
-
-    They appear when all are drawn.
 
     Parameters
     ----------
@@ -200,16 +122,11 @@ def write_frames(folder: Path, pictures: Iterable[Pixels],
     pictures, shown : as for `write_film`.
     """
     make_folder(folder)
-    with tempfile.TemporaryDirectory(prefix=".frames-", dir=folder) as beside:
-        for number, picture in enumerate(pictures, 1):
-            write_image(Path(beside) / f"frame_{number:05d}.png", picture)
-            shown(number)
-        drawn = {path.name: path for path in Path(beside).iterdir()}
-        for name in sorted(drawn):
-            drawn[name].replace(folder / name)
-        for path in frames_in(folder):
-            if path.name not in drawn:
-                path.unlink()
+    for path in frames_in(folder):
+        path.unlink()
+    for number, picture in enumerate(pictures, 1):
+        write_image(folder / f"frame_{number:05d}.png", picture)
+        shown(number)
 
 
 def frames_in(folder: Path) -> list[Path]:

@@ -20,22 +20,21 @@ from clsplat.errors import InputError
 
 LARGEST_SIDE = 8192  # pixels: the most that H.264 has a level for
 AUTO, PHOTOS, TURNTABLE = "auto", "photos", "turntable"
-USUAL, USUAL_GIF = ((1280, 720), 30.0), ((480, 270), 10.0)  # size and frames a second
 
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
-              help="A file .mp4, .mov, .mkv or .gif, or a folder for frames as PNG.")
+              help="A file .mp4, .mov or .mkv, or a folder for frames as PNG.")
 @click.option("--path", "route", default=AUTO, show_default=True, metavar="PATH",
               help="auto: obliquely over a site whose photos look down, else as photos; photos: "
               "along the photos; turntable: around the scene; or a JSON file with a camera path.")
 @click.option("--seconds", type=FiniteRange(0.1, 36_000), default=20.0, show_default=True,
               help="Length of the film.")
-@click.option("--fps", type=FiniteRange(1, 240), help="Frames a second. "
-              "Default: 30; of a .gif 10.")
-@click.option("--size", type=size_type(LARGEST_SIDE), help="Pixels of a frame. Default: "
-              "1280x720; of a .gif 480x270.")
+@click.option("--fps", type=FiniteRange(1, 240), default=30.0, show_default=True,
+              help="Frames a second.")
+@click.option("--size", type=size_type(LARGEST_SIDE), default="1280x720", show_default=True,
+              help="Pixels of a frame.")
 @click.option("--fov", type=FiniteRange(1, 170), help="Horizontal angle of view, degrees. Default: "
               "that of the photos or of the camera path.")
 @everything_flag
@@ -43,9 +42,9 @@ USUAL, USUAL_GIF = ((1280, 720), 30.0), ((480, 270), 10.0)  # size and frames a 
 @streaming_flags
 @moved_scene_flag
 @device_flag
-def film(run: Path, output: Path, route: str, seconds: float, fps: float | None,
-         size: tuple[int, int] | None, fov: float | None, everything: bool, overwrite: bool,
-         lod: bool, host_memory: float | None, scene: Path | None, device: str) -> None:
+def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: tuple[int, int],
+         fov: float | None, everything: bool, overwrite: bool, lod: bool, host_memory: float | None,
+         scene: Path | None, device: str) -> None:
     """Draw a flight through RUN as a film."""
     from dataclasses import replace
 
@@ -60,7 +59,6 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float | None,
         turntable,
     )
     from clsplat.apps.film import (
-        GIF,
         SUFFIXES,
         check_codec,
         frames,
@@ -75,9 +73,7 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float | None,
     if not as_film and output.suffix:
         raise InputError(f"{output}: unknown suffix '{output.suffix}'; known: "
                          f"{', '.join(SUFFIXES)}, or a folder for PNG files")
-    usual = USUAL_GIF if output.suffix.lower() == GIF else USUAL
-    size, fps = size or usual[0], fps or usual[1]
-    if as_film and output.suffix.lower() != GIF and (size[0] % 2 or size[1] % 2):
+    if as_film and (size[0] % 2 or size[1] % 2):
         raise InputError(f"--size {size[0]}x{size[1]}: a film needs even numbers; give such, or a "
                          "folder for PNG files")
     if as_film or frames_in(output):

@@ -159,19 +159,6 @@ def test_a_film(tmp_path, command):
     assert code == 2 and "--overwrite" in said
 
 
-@pytest.mark.slow
-def test_a_gif(tmp_path, command):
-    av = pytest.importorskip("av", reason="av is not installed (extra film)")
-    code, said = command("film.gif", "--path", "turntable", "--size", "63x47")
-    assert code == 0 and "5 frames of 63 x 47" in said, said
-    with av.open(str(tmp_path / "film.gif")) as container:
-        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    assert len(pictures) == 5 and pictures[0].shape == (47, 63, 3)
-    command("frames", "--path", "turntable", "--size", "63x47")
-    expected = read_image(tmp_path / "frames" / "frame_00003.png").astype(float)
-    assert abs(pictures[2] - expected).mean() < 8  # 64 colours
-
-
 @pytest.mark.parametrize("words, message", [
     (("film.avi",), "unknown suffix"), (("film.mp4", "--size", "63x48"), "even numbers"),
     (("film.mp4", "--size", "63"), "not a size"),
