@@ -23,10 +23,9 @@ from rasterio.errors import CRSError, RasterioError
 
 from clsplat.apps.map_grid import TILE, MapGrid
 from clsplat.errors import InputError
-from clsplat.io.reason import clean, reason
+from clsplat.io.reason import reason
 
 CACHE_MIB = 64  # of GDAL, which takes 5 % of the memory otherwise
-SHOWN = 60  # characters of a CRS in a message
 GDAL_ERRORS = RasterioError, CRSError, CPLE_BaseError
 Place = tuple[int, int]  # of a tile: column, row
 
@@ -40,13 +39,14 @@ class Raster:
                  bands: Mapping[str, str | None], colour: bool) -> None:
         self._path, self.grid, self._levels = path, grid, 1
         self._dtype = np.dtype(np.uint8 if colour else np.float32)
-        self._file = rasterio.open(
-            path, "w", driver="GTiff", width=grid.columns, height=grid.rows, count=len(bands),
-            dtype=self._dtype.name, crs=crs, tiled=True, transform=rasterio.Affine(
-                grid.resolution, 0, grid.left, 0, -grid.resolution, grid.top),
-            blockxsize=TILE, blockysize=TILE, compress="DEFLATE", predictor=2 if colour else 3,
-            nodata=None if colour else np.nan, photometric="RGB" if colour else "MINISBLACK",
-            alpha="YES" if colour else "NO", bigtiff="IF_SAFER", sparse_ok=True)
+        with _writing(path.parent.parent):
+            self._file = rasterio.open(
+                path, "w", driver="GTiff", width=grid.columns, height=grid.rows, count=len(bands),
+                dtype=self._dtype.name, crs=crs, tiled=True, transform=rasterio.Affine(
+                    grid.resolution, 0, grid.left, 0, -grid.resolution, grid.top),
+                blockxsize=TILE, blockysize=TILE, compress="DEFLATE", predictor=2 if colour else 3,
+                nodata=None if colour else np.nan, photometric="RGB" if colour else "MINISBLACK",
+                alpha="YES" if colour else "NO", bigtiff="IF_SAFER", sparse_ok=True)
         for number, (name, unit) in enumerate(bands.items(), 1):
             self._file.set_band_description(number, name)
             self._file.set_band_unit(number, unit or "")
@@ -129,21 +129,3 @@ def _writing(path: Path) -> Iterator[None]:
 def bounded_memory() -> Any:
     """A context that keeps GDAL's memory small, and its messages off the terminal."""
     return rasterio.Env(GDAL_CACHEMAX=CACHE_MIB)
-
-
-def check_crs(crs: str) -> None:
-    """InputError unless a GeoTIFF with this CRS reads back the same."""
-    try:
-        wanted = rasterio.CRS.from_user_input(crs)
-        with rasterio.MemoryFile() as memory:
-            with memory.open(driver="GTiff", width=1, height=1, count=1, dtype="uint8", crs=wanted,
-                             geotiff_version="1.1",
-                             transform=rasterio.Affine(1, 0, 1, 0, -1, 1)) as file:
-                file.write(np.ones((1, 1, 1), np.uint8))
-            with memory.open() as file:
-                why = "" if file.crs == wanted else "it would not read back the same"
-    except GDAL_ERRORS as error:
-        why = reason(error)
-    if why:
-        raise InputError(f"CRS {clean(crs)[:SHOWN]}: cannot be written to GeoTIFF ({why}); "
-                         "georeference the scene in one with an EPSG code")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.apps.geotiff import Raster, bounded_memory, check_crs
+from clsplat.apps.geotiff import Raster, bounded_memory
 from clsplat.apps.map_grid import TILE, MapGrid, ground_resolution
 from clsplat.apps.orthophoto import Extent, MapPainter, extent_of, halved_pixels
 from clsplat.apps.surface import (
@@ -24,7 +24,6 @@ from clsplat.apps.surface import (
     contour_lines,
     filled,
     pits,
-    write_contours,
 )
 from clsplat.device import Device
 from clsplat.errors import InputError
@@ -44,10 +43,11 @@ CONTOUR_SIDE = 3000  # pixels of the coarser raster that they are made from
 PREVIEW_SIDE = 1400  # pixels, the longer side of each of its pictures
 HEIGHTS = (0.01, 0.99)  # quantiles that the record has: single pixels may be far off
 DEGREE_DIGITS = 8  # after the point: a millimetre
+DIGITS = 9  # of heights
 COLOURS = dict.fromkeys(("red", "green", "blue", "alpha"))  # bands, without a unit
 HEIGHTS_OF = "height", "spread"
 SCRATCH = ".drawing-"  # how the name of the temporary folder begins
-EMPTY = (np.zeros((TILE, TILE, 4), np.uint8), np.full((TILE, TILE, 2), np.nan, np.float32))
+MOST_HALVINGS = 9  # a tile is then one pixel
 
 Count = Callable[[str, int, int], object]  # (what, done, total)
 Phase = Callable[[str], object]
@@ -75,8 +75,6 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
     What RECORD holds.
     """
     crs = scene.georeference.crs if scene.georeference else None
-    if crs is not None:
-        check_crs(crs)
     make_folder(folder)
     for killed in folder.glob(SCRATCH + "*"):
         rmtree(killed, ignore_errors=True)
@@ -137,37 +135,35 @@ def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
     """Draw all tiles in which anything is known."""
     # gaussians smaller than a pixel would be drawn as large as one, and hide what is beside
     # them: a map coarser than the photos is the mean of finer pixels
-    halvings = max(0, round(math.log2(grid.resolution / ground_resolution(scene))))
+    halvings = min(max(0, round(math.log2(grid.resolution / ground_resolution(scene)))),
+                   MOST_HALVINGS)
     finer = grid.finer(halvings)
     painter = MapPainter(device, run, finer, scene)
-    met = {(x, y) for y in range(finer.tiles[1]) for x in range(finer.tiles[0])
-           if extent.meets(finer.tile_bounds(x, y))}
-    done = 0
-
-    def tile(column: int, row: int, level: int) -> tuple[NDArray[Any], NDArray[Any]] | None:
-        nonlocal done
-        if not level:
-            if (column, row) not in met:
-                return None
-            colours, surface = painter.tile(column, row)
+    across, side = 2**halvings, TILE >> halvings
+    done, total = 0, math.prod(finer.tiles)
+    for row, column in np.ndindex(grid.tiles[::-1]):
+        whole: tuple[NDArray[Any], NDArray[Any]] = (
+            np.zeros((TILE, TILE, 4), np.uint8), np.full((TILE, TILE, 2), np.nan, np.float32))
+        is_known = False
+        for y, x in np.ndindex(across, across):
+            place = column * across + x, row * across + y
+            if place[0] >= finer.tiles[0] or place[1] >= finer.tiles[1]:
+                continue
             done += 1
-            count("tile", done, len(met))
-            inside = extent.inside(finer, column, row)[..., None]
-            return (np.where(inside, colours, 0),
-                    np.where(inside, surface, np.float32(np.nan)))
-        four = [[tile(2 * column + x, 2 * row + y, level - 1) or EMPTY for x in (0, 1)]
-                for y in (0, 1)]
-        if all(part is EMPTY for row_of in four for part in row_of):
-            return None
-        colours, surface = (halved_pixels(np.concatenate([np.concatenate(
-            [part[kind] for part in row_of], axis=1) for row_of in four])) for kind in (0, 1))
-        return colours, surface
-
-    for place in np.ndindex(grid.tiles[::-1]):
-        found = tile(place[1], place[0], halvings)
-        if found:
-            for raster, values in zip(drawn, found):
-                raster.write(place[::-1], values)
+            inside = extent.inside(finer, *place)[..., None]
+            if not inside.any():
+                continue
+            is_known = True
+            count("tile", done, total)
+            colours, surface = painter.tile(*place)
+            for all_pixels, pixels in zip(whole, (np.where(inside, colours, 0), np.where(
+                    inside, surface, np.float32(np.nan)))):
+                for _ in range(halvings):
+                    pixels = halved_pixels(pixels)
+                all_pixels[y * side:(y + 1) * side, x * side:(x + 1) * side] = pixels
+        if is_known:
+            for raster, values in zip(drawn, whole):
+                raster.write((column, row), values)
     for raster in drawn:
         raster.close()
 
@@ -202,15 +198,20 @@ def _cleaned(drawn: tuple[Raster, Raster], result: tuple[Raster, Raster], fill: 
 
 def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: int,
                     crs: str | None) -> None:
+    """Replace a GeoJSON file (RFC 7946); every line is a feature with the property `elevation`, in
+    longitude and latitude, or the map's coordinates if the scene has no place on the earth."""
     size = grid.resolution * 2**level
-
-    def to_place(line: NDArray[np.float64]) -> NDArray[np.float64]:
-        places = np.column_stack([np.array([grid.left, grid.top]) + line * (size, -size),
-                                  np.zeros(len(line))])
-        return (on_ground(crs, WGS84, places) if crs else places)[:, :2]
-
+    vertices = np.concatenate([np.empty((0, 2)), *(line for _, line in lines)])
+    places = np.pad((grid.left, grid.top) + vertices * (size, -size), ((0, 0), (0, 1)))
     digits = DEGREE_DIGITS if crs else max(0, math.ceil(1 - math.log10(size)))
-    write_contours(path, lines, to_place, digits)
+    places = np.round((on_ground(crs, WGS84, places) if crs else places)[:, :2], digits)
+    ends = np.cumsum([len(line) for _, line in lines])
+    features = [
+        {"type": "Feature", "properties": {"elevation": round(height, DIGITS)},
+         "geometry": {"type": "LineString", "coordinates": line.tolist()}}
+        for (height, _), line in zip(lines, np.split(places, ends))]
+    with replacing(path) as file:
+        file.write(json.dumps({"type": "FeatureCollection", "features": features}).encode())
 
 
 def _write_preview(path: Path, colours: Raster, surface: Raster, lines: list[ContourLine],

@@ -19,7 +19,7 @@ from scipy.ndimage import (
     zoom,
 )
 
-from clsplat.apps.map_grid import EXTENT, LARGEST_SIDE, TILE, Bounds, MapGrid, ground_resolution
+from clsplat.apps.map_grid import EXTENT, LARGEST_SIDE, TILE, MapGrid, ground_resolution
 from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.evaluation.run import Run
@@ -141,14 +141,6 @@ class Extent:
 
     grid: MapGrid
     known: NDArray[np.bool_]
-
-    def meets(self, bounds: Bounds) -> bool:
-        """Whether anything is known within bounds, map coordinates."""
-        left, bottom, right, top = bounds
-        columns, rows = self.grid.pixels([(left, top), (right, bottom)]).T
-        (first, last), (upper, lower) = (np.clip(
-            (np.floor(side[0]), np.ceil(side[1])), 0, TILE).astype(int) for side in (columns, rows))
-        return bool(self.known[upper:lower, first:last].any())
 
     def inside(self, grid: MapGrid, column: int, row: int) -> NDArray[np.bool_]:
         """bool[TILE, TILE]: which pixels of a tile of a grid lie where anything is known."""

@@ -8,12 +8,8 @@ bottom.
 
 from __future__ import annotations
 
-import json
 import math
 import warnings
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import contourpy
 import numpy as np
@@ -21,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from clsplat.errors import InputError
-from clsplat.io.atomic import replacing
 
 WINDOW, STEP = 13, 8  # samples of the local median along a side, and pixels between them
 MARGIN = (WINDOW // 2 + 1) * STEP  # pixels around a tile that its windows need
@@ -32,7 +27,6 @@ LINES, MOST_LINES = 15, 1000  # contour lines, about, unless the interval is giv
 USUAL = (0.02, 0.98)  # quantiles of the heights
 SMOOTHING = 4.0  # pixels: noise of single pixels is no contour line
 SHORTEST = 48  # points of a line; shorter ones are noise
-DIGITS = 9  # of heights
 
 Heights = NDArray[np.floating]  # [H, W], nan: unknown
 Mask = NDArray[np.bool_]
@@ -123,19 +117,3 @@ def contour_lines(heights: Heights, interval: float) -> list[ContourLine]:
     return [(number * interval, np.asarray(line) + 0.5)
             for number in range(math.ceil(low / interval), math.floor(high / interval) + 1)
             for line in generator.lines(number * interval) if len(line) >= SHORTEST]
-
-
-def write_contours(path: Path, lines: list[ContourLine],
-                   to_place: Callable[[NDArray[np.float64]], NDArray[np.float64]], digits: int
-                   ) -> None:
-    """Replace a GeoJSON file (RFC 7946); every line is a feature with the property `elevation`.
-    `to_place` converts (column, row) [N, 2] to the file's coordinates, with so many digits after
-    the point: longitude and latitude, or the map's where the scene has no place on the earth."""
-    vertices = np.concatenate([np.empty((0, 2)), *(line for _, line in lines)])
-    ends = np.cumsum([len(line) for _, line in lines])
-    features: list[dict[str, Any]] = [
-        {"type": "Feature", "properties": {"elevation": round(height, DIGITS)},
-         "geometry": {"type": "LineString", "coordinates": place.tolist()}}
-        for (height, _), place in zip(lines, np.split(np.round(to_place(vertices), digits), ends))]
-    with replacing(path) as file:
-        file.write(json.dumps({"type": "FeatureCollection", "features": features}).encode())

@@ -28,15 +28,7 @@ def length_of(text: str) -> tuple[float, bool]:
     return (number * METRES[match[2]], True) if match[2] else (number, False)
 
 
-def pixels_of(text: str) -> int:
-    """A number of pixels such as 5px."""
-    match = re.fullmatch(r"\s*(\d{1,3})\s*px\s*", text)
-    if not match or int(match[1]) > MOST_FILLED:
-        raise ValueError(f"give a number of pixels up to {MOST_FILLED}px, such as 5px")
-    return int(match[1])
-
-
-LENGTH, FILL = Parsed("LENGTH", length_of), Parsed("PIXELS", pixels_of)
+LENGTH = Parsed("LENGTH", length_of)
 
 
 @click.command("map")
@@ -50,8 +42,8 @@ LENGTH, FILL = Parsed("LENGTH", length_of), Parsed("PIXELS", pixels_of)
               help="Extent in the coordinates of the map; default: all that is covered.")
 @click.option("--contours", type=LENGTH, help="Height between contour lines, "
               "such as 50cm, 0 for none. Default: about 15 lines.")
-@click.option("--fill", type=FILL, default="0px", help="Fill holes of at most this width, such as "
-              f"5px; at most {MOST_FILLED}px. Default: none.")
+@click.option("--fill", type=click.IntRange(0, MOST_FILLED), default=0, show_default=True,
+              help="Fill holes of at most so many pixels across.")
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier map.")
 @moved_scene_flag
 @device_flag
