@@ -9,7 +9,7 @@ from html import escape
 from typing import Any, NoReturn
 
 from clsplat.apps.models import photos_of
-from clsplat.apps.server import FrameRequest, FrameRequests, ViewServer
+from clsplat.apps.server import FrameRequests, ViewServer
 from clsplat.device import Device
 from clsplat.evaluation.run import Run, Streaming, open_tree, shown
 from clsplat.gaussians import Gaussians
