@@ -52,7 +52,7 @@ class Keys:
 
     Attributes
     ----------
-    times : float64[K], K > 1, ascending from 0 to 1: the share of the film at which each is reached.
+    times : float64[K], K > 1, from 0 to 1, ascending: shares of the film at which each is reached.
     positions : float64[K, 3], in original coordinates.
     rotations : float64[K, 3, 3], from the world to the camera.
     degrees : float64[K], horizontal angle of view; None: of the film as a whole.
