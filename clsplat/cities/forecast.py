@@ -4,8 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from clsplat.device import Device
-from clsplat.estimate.cost import fitted
-from clsplat.estimate.forecast import Forecast, Planned
+from clsplat.estimate.forecast import Forecast, Planned, fitted
 from clsplat.gaussians import LEARNED
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.options import ScheduledOptions

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.densify.grow import Candidates, plan_growth
-from clsplat.densify.relocate import plan_relocation
+from clsplat.densify.grow import Candidates, plan_growth, plan_relocation
 from clsplat.schedule.growth import Growth, Round
 
 if TYPE_CHECKING:
@@ -136,10 +135,9 @@ def _highest_of(mask: Mask, gradient: Floats, count: int) -> Mask:
 
 def _first(keys: Floats, count: int) -> Mask:
     """bool[N]: the `count` lowest keys, among equals the first."""
-    if count <= 0 or count >= len(keys):
+    if not 0 < count < len(keys):
         return np.full(len(keys), count > 0)
     last = np.partition(keys, count - 1)[count - 1]
-    mask: Mask = keys < last if last == last else ~np.isnan(keys)  # NaN comes last
-    equal = np.flatnonzero(keys == last if last == last else np.isnan(keys))
-    mask[equal[:count - mask.sum()]] = True
+    mask: Mask = keys < last
+    mask[np.flatnonzero(keys == last)[:count - mask.sum()]] = True
     return mask

@@ -1,34 +1,95 @@
-"""Plans a training: its decisions, and a forecast of its memory and time."""
+"""Plans a training: its decisions, and a forecast of its memory and time.
 
-import dataclasses
+The time and the device memory of a step are modelled as a + b * pixels + c * gaussians, with a, b
+and c fitted to trial steps at two levels and two numbers of gaussians. Of the memory this is what a
+step needs beside the model and the photos, whose sizes are known. Sums and maxima over the segments
+of the simulated schedule are those of the run.
+"""
+
+import itertools
+import math
+import time
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from clsplat.device import Device
-from clsplat.estimate.cost import (
-    Memory,
-    TimedStep,
-    predicted_memory,
-    predicted_seconds,
-    seconds_of_a_step,
-    take_trials,
+from clsplat.estimate.trial_steps import (
+    SizedPhotos,
+    TrialSteps,
+    sampled,
+    sized,
+    spread_out,
 )
-from clsplat.estimate.detail import photo_detail
-from clsplat.estimate.trial_steps import sampled
-from clsplat.gaussians import Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.options import ScheduledOptions, TrainOptions, seconds_of
-from clsplat.scene import Scene
+from clsplat.rendering.pipeline import Renderer
+from clsplat.scene import Scene, View
 from clsplat.schedule import laid_over
+from clsplat.schedule.plan import size_at
 from clsplat.schedule.simulate import Segment, largest, simulate
+from clsplat.training.model import ENGINES, Model
 from clsplat.training.part import Decision, Part
-from clsplat.training.photos import DEVICE_SHARE, reading_bytes
+from clsplat.training.photos import DEVICE_SHARE, at_level, decoded, photo_array, reading_bytes
 from clsplat.training.progress import SilentProgress
+from clsplat.training.session import Session
 from clsplat.training.start.initialise import initial_gaussians, start_seconds
-from clsplat.training.start.prepare import prepare
+from clsplat.training.start.prepare import PreparedScene, prepare
 
 MIB = 2**20
+TIMED_VIEWS = 8  # for steps in turn
+COUNTED_VIEWS = 48  # of which that with most splats decides the memory of a frame
+TIMED_SECONDS = 0.2  # least time of a measurement, in which steps do not wait for the device
+REPEATS = 3  # of a measurement; the median counts
+MOST_GROWTH = 4  # largest multiple of the initial gaussians in a trial step
+MOST_GAUSSIANS = 200_000  # in a trial step
+MOST_PIXELS = 2e6  # of an image in a trial step; larger images are extrapolated
+DETAIL_VIEWS = 8  # of whose photos the detail is measured
+
+TimedStep = tuple[float, float, float]  # pixels, gaussians, seconds
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class Memory:
+    """Bytes of device memory.
+
+    Attributes
+    ----------
+    total : the most, while the model grows.
+    steps : the most after a step, which metrics.jsonl records.
+    photos : photos of the level with most, which are part of it.
+    resident : whether photos stay on the device at every level.
+    model : parameters and moments at the end.
+    """
+
+    total: int
+    steps: int
+    photos: int
+    resident: bool
+    model: int
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Steps that were taken.
+
+    Attributes
+    ----------
+    pixels, gaussians : of an image, the mean; of the model.
+    seconds : of a step; 0 if it was not timed.
+    nbytes : device memory beside the model and the photos.
+    """
+
+    pixels: float
+    gaussians: int
+    seconds: float
+    nbytes: int
+
+
+@dataclass(frozen=True, eq=False)
 class Forecast:
     """The predicted course of a training.
 
@@ -79,7 +140,7 @@ class Planned:
         Raises DeviceError where these steps, or those to come, do not fit the device.
         """
         options, prepared = self.prepared.options, self.prepared
-        scene, count = prepared.scene, prepared.decisions.facts.count
+        scene, count, views = prepared.scene, prepared.decisions.facts.count, prepared.train_views
         gaussians = (sampled(scene, count, options.sh_degree) if options.init == "dense" else
                      initial_gaussians(scene, options))
         self.progress.phase("planning: how many gaussians")
@@ -87,9 +148,9 @@ class Planned:
         trials = take_trials(self.device, prepared, gaussians.count, segments, not known,
                              self.progress)
         measured = list(known) or [(t.pixels, float(t.gaussians), t.seconds) for t in trials]
-        views = prepared.train_views
         seconds = predicted_seconds(measured, views, segments)
-        ends = [(segment.level, segment.gaussians, seconds_of_a_step(measured, views, segment))
+        ends = [(segment.level, segment.gaussians,
+                 predicted_seconds(measured, views, [replace(segment, steps=1)]))
                 for segment in (segments[0], segments[-1])]
         if not known:  # of this device
             self.progress.phase("planning: timing the search for dense points")
@@ -106,11 +167,10 @@ class Planned:
     def _segments(self, options: ScheduledOptions, gaussians: Gaussians) -> list[Segment]:
         """The simulated run, including the gaussians of a block that are frozen."""
         schedule = self.prepared.schedule(gaussians, options)
-        unknown = set(schedule.levels) - self._details.keys()
-        if unknown:
-            self._details |= photo_detail(self.prepared.train_views, sorted(unknown))
+        for level in set(schedule.levels) - self._details.keys():
+            self._details[level] = photo_detail(self.prepared.train_views, level)
         frozen = gaussians.count - schedule.facts.count
-        return [dataclasses.replace(segment, gaussians=segment.gaussians + frozen)
+        return [replace(segment, gaussians=segment.gaussians + frozen)
                 for segment in simulate(schedule, self._details.__getitem__)]
 
     def _streaming(self, memory: Memory, levels: int) -> Decision:
@@ -123,3 +183,154 @@ class Planned:
         return Decision(value, f"{value}: {size / MIB:,.0f} MiB at full size, "
                         f"{allowed / MIB:,.0f} may stay on the device; reading takes up to "
                         f"{reading_bytes(views) / MIB:,.0f} of the host's memory{file}")
+
+
+def take_trials(device: Device, prepared: PreparedScene, gaussians: int,
+                segments: Sequence[Segment], timed: bool, progress: SilentProgress) -> list[Trial]:
+    """Take steps at the sizes of `tried_sizes` for an initial number of gaussians."""
+    regularises = any(segment.regularises for segment in segments)
+    trials = []
+    for level, count in tried_sizes(prepared.train_views, gaussians, segments):
+        progress.phase(f"planning: {'timing' if timed else 'taking'} steps at "
+                       f"{size_at(level)}, {count:,} gaussians")
+        trials.append(_take_trial(device, prepared, level, count, regularises, timed))
+    return trials
+
+
+def tried_sizes(views: Sequence[View], count: int,
+                segments: Sequence[Segment]) -> list[tuple[float, int]]:
+    """The (level, gaussians) of trial steps.
+
+    These are the first and the last level of the run, each with `count` gaussians and with more.
+    Two smaller sizes replace images of more than MOST_PIXELS; they show the growth with pixels.
+    """
+    few = min(count, MOST_GAUSSIANS // MOST_GROWTH)
+    many = min(max(segments[-1].gaussians, 2 * few), MOST_GROWTH * few, MOST_GAUSSIANS)
+    first, last = segments[0].level, segments[-1].level
+    most_first = max(segment.gaussians for segment in segments if segment.level == first)
+    smaller = math.sqrt(pixels(views, 1.0) / MOST_PIXELS)
+    if smaller > last:
+        first, last = max(first, 2 * smaller), smaller
+    return sorted({(first, few), (first, min(many, most_first)), (last, few), (last, many)},
+                  reverse=True)
+
+
+def _take_trial(device: Device, prepared: PreparedScene, level: float, count: int,
+                regularises: bool, timed: bool) -> Trial:
+    views = at_level(prepared.train_views, level)
+    renderer = Renderer(device, 0, prepared.near, prepared.options.antialiased)
+    chosen = spread_out(len(views), TIMED_VIEWS)
+    gaussians = sized(sampled(prepared.scene, count, prepared.options.sh_degree), renderer,
+                      [views[index].camera for index in chosen])
+    rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
+    fullest = max(spread_out(len(views), COUNTED_VIEWS), key=lambda index: renderer.count_splats(
+        rows, renderer.pack(views[index].camera)))
+    device.trim()
+    before = device.memory_bytes
+    photos = SizedPhotos(device, prepared.train_views, level)
+    trial = TrialSteps(Session(prepared, device, gaussians, photos=photos))
+    # the fullest first, so that frames have room for all
+    steps = [trial.prepare(index, regularises) for index in (fullest, *(chosen if timed else ()))]
+    for step in steps:  # compile kernels and fill the pool
+        step()
+    trial.finish()
+    nbytes = (device.memory_bytes - before - photos.nbytes
+              - sum(_model_bytes(device, prepared, gaussians.rows, count)))
+    turns, each = itertools.cycle(steps[1:]), []
+    for _ in range(REPEATS if timed else 0):
+        begin, taken = time.perf_counter(), 0
+        while time.perf_counter() - begin < TIMED_SECONDS:
+            next(turns)()
+            taken += 1
+        trial.finish()
+        each.append((time.perf_counter() - begin) / taken)
+    return Trial(pixels(prepared.train_views, level), count, float(np.median(each or [0.0])),
+                 max(1, nbytes))
+
+
+def fitted(measured: Sequence[TimedStep]) -> NDArray[np.float64]:
+    """Fit (a, b, c) >= 0 to [(pixels, gaussians, cost), ...], by relative errors.
+
+    Images of a single size determine only a + b * pixels.
+    """
+    image, count, cost = np.array(measured, float).T
+    columns = np.stack([np.ones_like(image), image / image.max(), count / count.max()], axis=1)
+    solution: NDArray[np.float64] = nnls(columns / cost[:, None], np.ones_like(cost))[0]
+    solution /= np.array([1, image.max(), count.max()])
+    return solution
+
+
+def predicted_seconds(measured: Sequence[TimedStep], views: Sequence[View],
+                      segments: Sequence[Segment]) -> float:
+    """Seconds of a run without evaluations, files and compilation, from steps that were timed."""
+    cost = fitted(measured)
+    return float(sum(s.steps * np.dot(cost, (1, pixels(views, s.level), s.gaussians))
+                     for s in segments))
+
+
+def pixels(views: Sequence[View], level: float) -> float:
+    """Mean number of pixels of an image at a level."""
+    return float(np.mean([v.camera.width * v.camera.height for v in at_level(views, level)]))
+
+
+def photo_detail(views: Sequence[View], level: float) -> float:
+    """The detail that photos at a level would lose at half the size, on which growth depends.
+
+    It is the mean difference, in 0..1, between a photo and the means of its blocks of 2 x 2 pixels,
+    for some evenly spaced views.
+    """
+    lost = []
+    for photo in decoded(at_level(views[::-(-len(views) // DETAIL_VIEWS)], level)):
+        height, width = (size // 2 for size in photo.shape[1:])
+        even = photo[:3, :2 * height, :2 * width] / np.float32(255)
+        blocks = even.reshape(3, height, 2, width, 2)
+        lost.append(np.abs(blocks - blocks.mean(axis=(2, 4), keepdims=True)).mean())
+    return float(np.mean(lost))
+
+
+def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussians,
+                     segments: Sequence[Segment], trials: Sequence[Trial]) -> Memory:
+    """Predict the device memory of a training; DeviceError if an array would be too large.
+
+    Parameters
+    ----------
+    device, prepared : of the training.
+    gaussians : the initial ones.
+    segments : the simulated run.
+    trials : steps that were taken on this device.
+    """
+    cost = fitted([(trial.pixels, trial.gaussians, trial.nbytes) for trial in trials])
+    photos = {level: photo_bytes(device, prepared.train_views, level)
+              for level in {segment.level for segment in segments}}
+    total, steps = 0, 0
+    model = _model_bytes(device, prepared, gaussians.rows, gaussians.count)
+    for segment in segments:
+        nbytes, _ = photos[segment.level]
+        grown = _model_bytes(device, prepared, gaussians.rows, segment.gaussians)
+        if grown != model:  # each array is replaced in turn
+            total = max(total, nbytes + max(sum(grown[:place + 1]) + sum(model[place:])
+                                            for place in range(len(model))))
+        frame = np.dot(cost, (1, pixels(prepared.train_views, segment.level), segment.gaussians))
+        model, steps = grown, max(steps, nbytes + int(frame) + sum(grown))
+    return Memory(max(total, steps), steps,
+                  max(nbytes * resident for nbytes, resident in photos.values()),
+                  all(resident for _, resident in photos.values()), sum(model))
+
+
+def photo_bytes(device: Device, views: Sequence[View], level: float) -> tuple[int, bool]:
+    """Device bytes of the photos at a level, and whether they stay on the device; where they are
+    read at each use, those of the largest one."""
+    sizes = [photo_array(view).nbytes(device.real) for view in at_level(views, level)]
+    stay = sum(sizes) <= DEVICE_SHARE * device.handle.global_mem_size
+    return sum(sizes) if stay else max(sizes), stay
+
+
+def _model_bytes(device: Device, prepared: PreparedScene, names: Iterable[str], count: int
+                 ) -> list[int]:
+    """Bytes of the arrays of rows and moments, in the order in which growth replaces them."""
+    options = prepared.options
+    rows = Model.arrays(names, options.sh_degree, count)
+    moments = ENGINES[options.engine].arrays({field.name: rows[field.name] for field in LEARNED})
+    sizes = [spec.nbytes(device.real) for fields in (rows, *moments) for spec in fields.values()]
+    device.check_size(max(sizes))
+    return sizes

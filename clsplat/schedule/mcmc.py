@@ -2,7 +2,7 @@
 
 Instead of being cloned, split and pruned by thresholds, gaussians that have become transparent are
 relocated to where others are, and the model grows by a fixed share in each round
-(densify/relocate.py). Positions take random steps (cl/noise.cl), and opacities and sizes are
+(densify/grow.py). Positions take random steps (cl/noise.cl), and opacities and sizes are
 regularised (cl/regularise.cl), so that gaussians that nothing needs become transparent.
 
 Unlike in the authors' code, the initial gaussians are those of the other schedules, and a step

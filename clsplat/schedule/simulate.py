@@ -35,7 +35,7 @@ class Segment:
 def simulate(schedule: Schedule, detail: Callable[[float], float] | None = None) -> list[Segment]:
     """Predict the segments of a whole run; the simulation changes the state of the schedule.
 
-    `detail` is level -> `estimate.detail.photo_detail` of it; None: photos are sharp.
+    `detail` is level -> `estimate.forecast.photo_detail` of it; None: photos are sharp.
     """
     return [Segment(len(list(steps)), *kind)
             for kind, steps in groupby(_steps(schedule, detail))]

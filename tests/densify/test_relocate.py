@@ -5,7 +5,7 @@ from math import comb, sqrt
 import numpy as np
 import pytest
 
-from clsplat.densify.relocate import plan_relocation, shared
+from clsplat.densify.grow import plan_relocation, shared
 
 LEAST = 0.005
 

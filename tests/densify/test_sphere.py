@@ -1,11 +1,10 @@
-"""The sphere around each anchor: its initial size, what is outside, and the spheres of children."""
+"""The sphere around each anchor: its initial size, and what is outside."""
 
 import numpy as np
 import pytest
 
-from clsplat.densify.sphere import children, outside, with_spheres
+from clsplat.densify.sphere import outside, with_spheres
 from clsplat.gaussians import SPHERE, Gaussians
-from clsplat.options import TrainOptions, resolve
 
 
 def cloud(count, seed=0):
@@ -69,16 +68,3 @@ def test_close_to_the_border_double_precision_decides(scale):
     beyond = distance > 15 * offsets.astype(np.float64)
     assert 0.3 < beyond.mean() < 0.7
     assert np.array_equal(outside(positions, anchors, offsets, 15.0), beyond)
-
-
-def test_children_by_either_rule():
-    parents = {"anchors": np.float32([[1, 2, 3], [4, 5, 6]]), "max_offsets": np.float32([2, 10])}
-    places = np.float32([[1.5, 2, 3], [4, 5.5, 6]])
-    for options, anchors, share in (
-            (TrainOptions(), parents["anchors"], 0.7),
-            (resolve({}, {"preset": "release"}), places, 0.8),
-            (TrainOptions(sphere_shrink=0.5), parents["anchors"], 0.5)):
-        found, offsets = children(parents, places, options)
-        assert np.array_equal(found, anchors)
-        assert np.allclose(offsets, share * parents["max_offsets"], rtol=1e-6)
-        assert found.dtype == offsets.dtype == np.float32

@@ -1,7 +1,6 @@
 """What is predicted of a training: its course, its memory, its time."""
 
 import os
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,20 +11,20 @@ from clsplat.camera import Camera
 from clsplat.cli.main import main
 from clsplat.cli.plan import duration, load
 from clsplat.device import Device
-from clsplat.estimate import cost
-from clsplat.estimate.cost import (
+from clsplat.estimate import forecast as module
+from clsplat.estimate.forecast import (
     MOST_PIXELS,
     Memory,
-    ViewMemory,
+    Planned,
     fitted,
+    photo_bytes,
+    photo_detail,
     pixels,
     predicted_memory,
     predicted_seconds,
     take_trials,
     tried_sizes,
 )
-from clsplat.estimate.detail import photo_detail
-from clsplat.estimate.forecast import Planned
 from clsplat.estimate.trial_steps import TrialSteps, sampled
 from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import write_image
@@ -36,6 +35,7 @@ from clsplat.scene import View
 from clsplat.schedule import OURS, SceneFacts, scaled_steps, schedule_of
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.training.photos import Photos, size_note
+from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
 from clsplat.training.start.prepare import prepare
 from tests.data.tiny_training import CITY, options_of, records, trained
@@ -115,7 +115,7 @@ def test_detail_is_what_half_the_size_would_not_show(tmp_path):
         height, width = image.shape[:2]
         camera = Camera(width, height, (10.0, 10.0), (4.0, 4.0), np.eye(3), np.zeros(3))
         view = View(name, camera, tmp_path / f"{name}.png")
-        assert photo_detail([view], [1.0])[1.0] == pytest.approx(expected, abs=1e-6), name
+        assert photo_detail([view], 1.0) == pytest.approx(expected, abs=1e-6), name
 
 
 def test_photos_are_compared_while_growing_only():
@@ -145,7 +145,7 @@ def test_trial_steps_foretell_what_a_training_allocates(own_device, options):
     gaussians = sampled(prepared.scene, 5000, prepared.options.sh_degree)
     regularises = options.get("reproject") == "on"
     segments = [Segment(1, 2.0, 3000, regularises), Segment(1, 1.0, 5000, regularises)]
-    trials = take_trials(own_device, prepared, 3000, segments, timed=False)
+    trials = take_trials(own_device, prepared, 3000, segments, False, SilentProgress())
     assert len(trials) == 3 and not any(trial.seconds for trial in trials)
     memory = predicted_memory(own_device, prepared, gaussians, segments, trials)
     own_device.trim()
@@ -161,13 +161,10 @@ def test_trial_steps_foretell_what_a_training_allocates(own_device, options):
 
 
 def test_photos_that_do_not_fit_are_counted_one_at_a_time(item_device, city, monkeypatch):
-    prepared = SimpleNamespace(train_views=city.views)
     each = 3 * 80 * 60
-    kept = ViewMemory(item_device, prepared, 1.0)
-    assert (kept.nbytes, kept.resident) == (each * len(city.views), True)
-    monkeypatch.setattr(cost, "DEVICE_SHARE", 0.0)
-    read = ViewMemory(item_device, prepared, 1.0)
-    assert (read.nbytes, read.resident) == (each, False)
+    assert photo_bytes(item_device, city.views, 1.0) == (each * len(city.views), True)
+    monkeypatch.setattr(module, "DEVICE_SHARE", 0.0)
+    assert photo_bytes(item_device, city.views, 1.0) == (each, False)
 
 
 def measured_peak(device, monkeypatch):
@@ -333,8 +330,8 @@ def test_what_cannot_begin_is_one_line(monkeypatch, words, complaint):
 
 def test_a_time_budget_decides_the_steps(item_device, city, monkeypatch):
     for name, value in (("take_trials", []), ("predicted_memory", Memory(0, 0, 0, True, 0)),
-                        ("predicted_seconds", 3000.0), ("seconds_of_a_step", 0.1)):
-        monkeypatch.setattr(f"clsplat.estimate.forecast.{name}", lambda *_, value=value: value)
+                        ("predicted_seconds", 3000.0)):
+        monkeypatch.setattr(module, name, lambda *_, value=value: value)
     options = resolve({}, {"time_budget": "2m", "schedule": "taming", "exposure": "off"})
     forecast = Planned(city, options, item_device).forecast()
     assert (forecast.steps, forecast.seconds) == (8400 * 120 // 3000, 120)  # 28 photos
