@@ -32,7 +32,7 @@ from clsplat.schedule import laid_over
 from clsplat.schedule.plan import size_at
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.training.model import ENGINES, Model
-from clsplat.training.part import Decision, Part
+from clsplat.training.part import Decision
 from clsplat.training.photos import DEVICE_SHARE, at_level, decoded, photo_array, reading_bytes
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
@@ -79,7 +79,7 @@ class Trial:
     Attributes
     ----------
     pixels, gaussians : of an image, the mean; of the model.
-    seconds : of a step; 0 if it was not timed.
+    seconds : of a step.
     nbytes : device memory beside the model and the photos.
     """
 
@@ -118,7 +118,7 @@ class Planned:
 
     Parameters
     ----------
-    scene, options, device, parts : see `training.prepare.prepare`.
+    scene, options, device : see `training.prepare.prepare`.
     progress : receives what is being done.
 
     Attributes
@@ -127,15 +127,14 @@ class Planned:
     """
 
     def __init__(self, scene: Scene, options: TrainOptions, device: Device,
-                 progress: SilentProgress | None = None, parts: Iterable[Part] = ()) -> None:
+                 progress: SilentProgress | None = None) -> None:
         self.device, self.progress = device, progress or SilentProgress()
         self.progress.phase("planning: inspecting the photos")
-        self.prepared = prepare(scene, options, device, parts)
+        self.prepared = prepare(scene, options, device)
         self._details: dict[float, float] = {}  # level -> `photo_detail`
 
-    def forecast(self, known: Sequence[TimedStep] = ()) -> Forecast:
-        """Forecast the training; this takes some real steps on the device, which are not timed if
-        `known` has steps, of another device or of an earlier training.
+    def forecast(self) -> Forecast:
+        """Forecast the training; this takes some real steps on the device.
 
         Raises DeviceError where these steps, or those to come, do not fit the device.
         """
@@ -145,16 +144,14 @@ class Planned:
                      initial_gaussians(scene, options))
         self.progress.phase("planning: how many gaussians")
         segments = self._segments(options, gaussians)
-        trials = take_trials(self.device, prepared, gaussians.count, segments, not known,
-                             self.progress)
-        measured = list(known) or [(t.pixels, float(t.gaussians), t.seconds) for t in trials]
+        trials = take_trials(self.device, prepared, gaussians.count, segments, self.progress)
+        measured = [(trial.pixels, float(trial.gaussians), trial.seconds) for trial in trials]
         seconds = predicted_seconds(measured, views, segments)
         ends = [(segment.level, segment.gaussians,
                  predicted_seconds(measured, views, [replace(segment, steps=1)]))
                 for segment in (segments[0], segments[-1])]
-        if not known:  # of this device
-            self.progress.phase("planning: timing the search for dense points")
-            seconds += start_seconds(self.device, prepared)
+        self.progress.phase("planning: timing the search for dense points")
+        seconds += start_seconds(self.device, prepared)
         if options.time_budget:
             budget = seconds_of(options.time_budget)
             options = laid_over(options, max(1, int(options.iterations * budget / seconds)))
@@ -165,13 +162,11 @@ class Planned:
                         measured)
 
     def _segments(self, options: ScheduledOptions, gaussians: Gaussians) -> list[Segment]:
-        """The simulated run, including the gaussians of a block that are frozen."""
+        """The simulated run."""
         schedule = self.prepared.schedule(gaussians, options)
         for level in set(schedule.levels) - self._details.keys():
             self._details[level] = photo_detail(self.prepared.train_views, level)
-        frozen = gaussians.count - schedule.facts.count
-        return [replace(segment, gaussians=segment.gaussians + frozen)
-                for segment in simulate(schedule, self._details.__getitem__)]
+        return simulate(schedule, self._details.__getitem__)
 
     def _streaming(self, memory: Memory, levels: int) -> Decision:
         views = self.prepared.train_views
@@ -186,14 +181,13 @@ class Planned:
 
 
 def take_trials(device: Device, prepared: PreparedScene, gaussians: int,
-                segments: Sequence[Segment], timed: bool, progress: SilentProgress) -> list[Trial]:
+                segments: Sequence[Segment], progress: SilentProgress) -> list[Trial]:
     """Take steps at the sizes of `tried_sizes` for an initial number of gaussians."""
     regularises = any(segment.regularises for segment in segments)
     trials = []
     for level, count in tried_sizes(prepared.train_views, gaussians, segments):
-        progress.phase(f"planning: {'timing' if timed else 'taking'} steps at "
-                       f"{size_at(level)}, {count:,} gaussians")
-        trials.append(_take_trial(device, prepared, level, count, regularises, timed))
+        progress.phase(f"planning: timing steps at {size_at(level)}, {count:,} gaussians")
+        trials.append(_take_trial(device, prepared, level, count, regularises))
     return trials
 
 
@@ -216,7 +210,7 @@ def tried_sizes(views: Sequence[View], count: int,
 
 
 def _take_trial(device: Device, prepared: PreparedScene, level: float, count: int,
-                regularises: bool, timed: bool) -> Trial:
+                regularises: bool) -> Trial:
     views = at_level(prepared.train_views, level)
     renderer = Renderer(device, 0, prepared.near, prepared.options.antialiased)
     chosen = spread_out(len(views), TIMED_VIEWS)
@@ -230,21 +224,21 @@ def _take_trial(device: Device, prepared: PreparedScene, level: float, count: in
     photos = SizedPhotos(device, prepared.train_views, level)
     trial = TrialSteps(Session(prepared, device, gaussians, photos=photos))
     # the fullest first, so that frames have room for all
-    steps = [trial.prepare(index, regularises) for index in (fullest, *(chosen if timed else ()))]
+    steps = [trial.prepare(index, regularises) for index in (fullest, *chosen)]
     for step in steps:  # compile kernels and fill the pool
         step()
     trial.finish()
     nbytes = (device.memory_bytes - before - photos.nbytes
               - sum(_model_bytes(device, prepared, gaussians.rows, count)))
     turns, each = itertools.cycle(steps[1:]), []
-    for _ in range(REPEATS if timed else 0):
+    for _ in range(REPEATS):
         begin, taken = time.perf_counter(), 0
         while time.perf_counter() - begin < TIMED_SECONDS:
             next(turns)()
             taken += 1
         trial.finish()
         each.append((time.perf_counter() - begin) / taken)
-    return Trial(pixels(prepared.train_views, level), count, float(np.median(each or [0.0])),
+    return Trial(pixels(prepared.train_views, level), count, float(np.median(each)),
                  max(1, nbytes))
 
 
