@@ -55,16 +55,13 @@ def predicted_responses(views: Iterable[View], learned: Mapping[str, Response] |
     if not learned or not known:
         return None
     transforms = np.array([learned[ordered[place].name].transform for place in known])
-    mean, places = transforms.mean(axis=0), np.array(known)
-    weight = interpolation_weight(places, transforms)
+    mean, weight = transforms.mean(axis=0), interpolation_weight(np.array(known), transforms)
+    between = interpolated(np.arange(len(ordered)), np.array(known), transforms)
     lenses = {lens_kind(ordered[place].camera): learned[ordered[place].name] for place in known}
-    responses = dict(learned)
-    for place, view in enumerate(ordered):
-        if view.name not in learned:
-            between = interpolated(place, places, transforms)
-            responses[view.name] = replace(lenses.get(lens_kind(view.camera), Response()),
-                                           transform=mean + weight * (between - mean))
-    return Predicted(responses, weight)
+    responses = {view.name: replace(lenses.get(lens_kind(view.camera), Response()),
+                                    transform=mean + weight * (transform - mean))
+                 for view, transform in zip(ordered, between)}
+    return Predicted({**responses, **learned}, weight)
 
 
 def interpolation_weight(places: NDArray[np.integer], transforms: NDArray[np.float64]) -> float:
@@ -78,27 +75,25 @@ def interpolation_weight(places: NDArray[np.integer], transforms: NDArray[np.flo
     places : int[V], the places of the photos in the order of all, ascending.
     transforms : float64[V, 3, 4].
     """
-    if len(places) < FEWEST_PHOTOS:
+    count = len(places)
+    if count < FEWEST_PHOTOS:
         return 0.0
-    product = square = 0.0
-    for index, place in enumerate(places):
-        others = np.delete(transforms, index, axis=0)
-        mean = others.mean(axis=0)
-        away = interpolated(place, np.delete(places, index), others) - mean
-        product += float(np.vdot(away, transforms[index] - mean))
-        square += float(np.vdot(away, away))
-    return min(1.0, max(0.0, product / square)) if square > ROUNDING * len(places) else 0.0
+    means = (transforms.sum(axis=0) - transforms) / (count - 1)
+    away = np.array([interpolated(place, np.delete(places, index), np.delete(transforms, index, 0))
+                     for index, place in enumerate(places)]) - means
+    square = float(np.vdot(away, away))
+    if square <= ROUNDING * count:
+        return 0.0
+    return min(1.0, max(0.0, float(np.vdot(away, transforms - means)) / square))
 
 
-def interpolated(place: int, places: NDArray[np.integer], transforms: NDArray[np.float64]
-                 ) -> NDArray[np.float64]:
-    """float64[3, 4], linear between the neighbours of a place; that of the nearest at the ends."""
-    after = int(np.searchsorted(places, place))
-    low, high = max(after - 1, 0), min(after, len(places) - 1)
-    gap = places[high] - places[low]
-    share = (place - places[low]) / gap if gap else 0.0
-    result: NDArray[np.float64] = transforms[low] + share * (transforms[high] - transforms[low])
-    return result
+def interpolated(at: NDArray[np.integer], places: NDArray[np.integer],
+                 transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """float64[..., 3, 4], linear between the neighbours of places; that of the nearest at the
+    ends."""
+    columns = transforms.reshape(len(transforms), -1).T
+    return np.stack([np.interp(at, places, column) for column in columns],
+                    axis=-1).reshape(*np.shape(at), 3, 4)
 
 
 def _in_order(name: str) -> list[tuple[int, int, str]]:

@@ -1,9 +1,4 @@
-"""JSON records of a run folder, checked when they are read: a kill, a disk or a user may change
-them.
-
-Whatever passes can be used in sums, drawn and written again: numbers are finite, text is Unicode,
-and the keys that reports use have the types that they expect.
-"""
+"""JSON records, which a kill, a disk or a user may change: what is read has finite numbers."""
 
 import hashlib
 import json
@@ -15,19 +10,6 @@ import numpy as np
 from clsplat.io.atomic import replacing
 
 LARGEST_NUMBER = 1e100  # sums of squares stay finite
-NUMBER = (int, float)
-# the types of keys that are present and not null
-KEYS = (
-    (int, ("iteration", "gaussians", "views", "seed")),
-    (NUMBER, (
-        "train_seconds", "wall_seconds", "level", "loss", "l1", "memory_bytes", "peak_bytes",
-        "since", "slope", "threshold", "hits", "rounds", "pixel_pairs", "kernel_bytes")),
-    (str, ("event", "scene", "scene_absolute", "fingerprint", "opencl_device", "kernel_form",
-           "version", "commit", "schedule")),
-    (dict, ("reasons", "decisions")))
-# numbers in the records of events; `lpips` is also an option, with a text
-PLAIN = ("psnr", "psnr_cc", "ssim", "ssim_cc", "flip", "flip_cc", "lpips", "lpips_cc")
-SCORES = (*PLAIN, *(f"{name}_aligned" for name in PLAIN), "aligned_degrees", "aligned_shift")
 
 
 def object_of(data: bytes) -> dict[str, Any]:
@@ -45,33 +27,10 @@ def object_of(data: bytes) -> dict[str, Any]:
     return table
 
 
-def record_of(data: bytes) -> dict[str, Any]:
-    """Parse options.json or a line of metrics.jsonl; ValueError names a key whose value clsplat
-    does not write."""
-    record = object_of(data)
-    scores = SCORES if "event" in record else ()
-    for kinds, keys in (*KEYS, (NUMBER, scores)):
-        for key in keys:
-            if not _is(record.get(key), kinds):
-                raise ValueError(f"{key} is {str(record[key])[:20]!r}")
-    if record.get("event") in ("step", "level"):
-        frequency = record.get("frequency")  # of a step by variant and axis, of a level one number
-        values = frequency.values() if isinstance(frequency, dict) else [frequency]
-        if isinstance(frequency, dict) != (record["event"] == "step") and frequency is not None:
-            raise ValueError("frequency belongs to another event")
-        if not all(_is(value, NUMBER) for value in values):
-            raise ValueError("frequency is not a number")
-    return record
-
-
 def write_object(path: Path, record: dict[str, Any], indent: int = 1) -> None:
     """Replace a JSON file by a dict, whose numbers must be finite."""
     with replacing(path) as file:
         file.write((json.dumps(record, indent=indent, allow_nan=False) + "\n").encode())
-
-
-def _is(value: object, kinds: Any) -> bool:
-    return value is None or isinstance(value, kinds) and not isinstance(value, bool)
 
 
 def _finite(text: str) -> float:

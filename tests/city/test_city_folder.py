@@ -217,9 +217,3 @@ def test_visits_travel_with_the_block(city, scene, gaussians):
     weights = next(part for part in parts if isinstance(part, SampleWeights))
     assert weights.visits(read_scene(block.path).views).tolist() == [
         0.25 if view.name == names[0] else 1.0 for view in read_scene(block.path).views]
-    path = block.path / "region.json"
-    record = json.loads(path.read_text())
-    for bad in (0.0, -1.0, "often", None, True):
-        path.write_text(json.dumps({**record, "visits": {names[0]: bad}}))
-        with pytest.raises(InputError, match=r"region\.json: damaged \(the visits"):
-            block.region()

@@ -1,13 +1,11 @@
 """A view of a block shows the part of its photo that the block is in, as the whole photo would."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import read_image, write_image
 from clsplat.io.photos.resample import resample
@@ -152,14 +150,3 @@ def test_a_block_is_read_with_its_windows(block, scene):
     assert np.allclose(first.camera.borders, (-16, -32, 304, 208))
     assert second.camera.width == 320 and second.camera.whole is None
     assert np.array_equal(read_photo(first), read_image(scene.views[3].source)[32:160, 16:128])
-
-
-@pytest.mark.parametrize("window", [7, [1, 2, 3], [0, 0, 400, 100], [-1, 0, 50, 50], [9, 0, 9, 5],
-                                    [0.0, 0, 16, 16], [0, 0, 16, 9999]])
-def test_a_damaged_window_is_refused(block, scene, window):
-    path = block.path / "region.json"
-    record = json.loads(path.read_text())
-    record["windows"][scene.views[3].name] = window
-    path.write_text(json.dumps(record))
-    with pytest.raises(InputError, match="region.json: damaged .*partition the city again"):
-        read_scene(block.path)

@@ -175,22 +175,12 @@ class BlockFolder:
     @property
     def exchanges(self) -> list[int]:
         """After how many steps the block exchanges gaussians with others, ascending."""
-        return self._numbers(EXCHANGES, 1)
+        return list(self.read().get(EXCHANGES, []))
 
     @property
     def others(self) -> list[int]:
         """Numbers of the other blocks whose gaussians the block holds, ascending."""
-        return self._numbers(OTHERS, 0)
-
-    def _numbers(self, key: str, least: int) -> list[int]:
-        """A list of ascending integers in block.json."""
-        numbers = self.read().get(key, [])
-        if type(numbers) is not list or not all(
-                type(number) is int and number > before
-                for before, number in zip([least - 1, *numbers], numbers)):
-            raise InputError(f"{self.path / BLOCK}: damaged ({key} is {str(numbers)[:20]!r}); "
-                             "remove the block, and run `clsplat partition` again")
-        return numbers
+        return list(self.read().get(OTHERS, []))
 
     def exchanged(self, number: int) -> Path:
         """The file of what the block owns at the exchange of this number, from 1."""
@@ -205,11 +195,7 @@ class BlockFolder:
         path = self.path / REGION
         record = _read(path, {}, "partition the city again")
         try:
-            visits = record.get(VISITS, {})
-            if type(visits) is not dict or not all(type(each) is float and each > 0
-                                                   for each in visits.values()):
-                raise ValueError("the visits of its views are not positive numbers")
-            return Region.from_record(record), visits
+            return Region.from_record(record), dict(record.get(VISITS, {}))
         except DAMAGED as error:
             raise InputError(f"{path}: damaged ({reason(error)}); partition the city again"
                              ) from None
@@ -262,15 +248,7 @@ def cropped_to_windows(scene: Scene, folder: Path) -> Scene:
     path = folder / REGION
     if not path.is_file():
         return scene
-    windows = _read(path, {WINDOWS: dict}, "partition the city again")[WINDOWS]
-    for view in scene.views:
-        window = windows.get(view.name, [0, 0, view.camera.width, view.camera.height])
-        four = type(window) is list and [type(end) for end in window] == 4 * [int]
-        if not (four and 0 <= window[0] < window[2] <= view.camera.width
-                and 0 <= window[1] < window[3] <= view.camera.height):
-            raise InputError(f"{path}: damaged (the window of {view.name} is not four integers "
-                             "within its photo); partition the city again")
-    return scene.cropped(windows)
+    return scene.cropped(_read(path, {WINDOWS: dict}, "partition the city again")[WINDOWS])
 
 
 def _read(path: Path, kinds: Mapping[str, type], cure: str) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
 from clsplat.io.reason import reason
-from clsplat.io.records import object_of, plain, record_of, write_object
+from clsplat.io.records import object_of, plain, write_object
 from clsplat.io.runs.learned import EXPOSURES, POSES, read_exposures, write_exposures
 from clsplat.io.runs.origin import origin, recorded_scene, scene_record
 from clsplat.response import Response
@@ -61,9 +61,6 @@ class RunFolder:
             run.path.mkdir(parents=True, exist_ok=True)
             run.check_free(overwrite)
             run._replaces = True
-            probe = run.path / (OPTIONS + PARTIAL)
-            probe.touch()
-            probe.unlink()
         except OSError as error:
             raise InputError(f"{run.path}: cannot be used as run folder ({error.strerror}); "
                              "choose another --output") from None
@@ -85,16 +82,9 @@ class RunFolder:
     def _is_ours(self) -> bool:
         """Whether clsplat wrote the files of the folder, by its options or, if these are damaged,
         by its metrics."""
-        try:
-            if "version" in self.read_options():
-                return True
-        except InputError:
-            pass
-        try:
-            with open(self.path / METRICS, "rb") as file:
-                return b'{"event":' in file.read(1000)
-        except OSError:
-            return False
+        marks = (OPTIONS, b'"version":'), (METRICS, b'{"event":')
+        return any(mark in (self.path / name).read_bytes() for name, mark in marks
+                   if (self.path / name).is_file())
 
     @contextmanager
     def locked(self, patience: float = 0.0) -> Iterator[None]:
@@ -154,7 +144,7 @@ class RunFolder:
         """Read what `write_options` wrote."""
         path = self.path / OPTIONS
         try:
-            return record_of(_read(path))
+            return object_of(_read(path))
         except ValueError as error:
             raise InputError(f"{path}: damaged ({reason(error)}); start the run again with "
                              "--overwrite") from None
@@ -216,7 +206,7 @@ class RunFolder:
             return lines
         for number, line in enumerate(_whole_lines(_read(path)).splitlines(keepends=True), 1):
             try:
-                lines.append((record_of(line), line))
+                lines.append((object_of(line), line))
             except ValueError as error:
                 raise InputError(f"{path}: line {number} is damaged ({reason(error)}); "
                                  "remove that line") from None
