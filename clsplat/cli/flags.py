@@ -105,16 +105,6 @@ class SectionedGroup(click.Group):
                     [(name, self.commands[name].get_short_help_str(width)) for name in names])
 
 
-class NonEmptyPath(click.Path):
-    """A path that is not empty, since "" would be the current folder."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Check and convert a value."""
-        if str(value) == "":
-            self.fail("is empty; give a path, or . for the current folder", param, ctx)
-        return super().convert(value, param, ctx)
-
-
 class Parsed(click.ParamType):  # type: ignore[type-arg]  # generic only since click 8.3
     """A value that a function makes of a text.
 

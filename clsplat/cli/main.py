@@ -7,7 +7,6 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, NoReturn
 
 import click
@@ -23,7 +22,7 @@ from clsplat.cli.edit import edit
 from clsplat.cli.evaluate import evaluate
 from clsplat.cli.export import export
 from clsplat.cli.film import film
-from clsplat.cli.flags import NonEmptyPath, SectionedGroup
+from clsplat.cli.flags import SectionedGroup
 from clsplat.cli.georeference import georeference
 from clsplat.cli.map import map_command
 from clsplat.cli.pack import pack
@@ -37,7 +36,6 @@ from clsplat.training.interrupt import handled_interrupts
 
 BUG = 1  # exit code
 SIGPIPE = 13  # its number where it exists; Windows has none
-KEEP = {train, sfm, city, block, merge}  # commands that go on from what they saved
 CURE = "check that it exists, that it may be read or written, and that the disk has space"
 
 
@@ -67,7 +65,7 @@ class Reporting(SectionedGroup):
                 return code if isinstance(code, int) else 0
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (the outermost place)
                 interrupts.end()
-                message, code = verdict(error, interrupts.number, self._keeps(arguments))
+                message, code = verdict(error, interrupts.number)
                 if "--traceback" in arguments or code == BUG:
                     say("".join(traceback.format_exception(error)).rstrip())
                 if message:
@@ -76,13 +74,8 @@ class Reporting(SectionedGroup):
             except SystemExit as end:  # click exits with 1 for a pipe that its reader closed
                 return 128 + SIGPIPE if end.code == 1 else end.code
 
-    def _keeps(self, arguments: list[str]) -> bool:
-        """Whether the command that the arguments name goes on from what it saved."""
-        named = (self.commands[word] for word in arguments if word in self.commands)
-        return next(named, None) in KEEP
 
-
-def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tuple[str, int]:
+def verdict(error: BaseException, signalled: int = 0) -> tuple[str, int]:
     """The message and the exit code for an exception that ended a command.
 
     Parameters
@@ -90,7 +83,6 @@ def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tu
     error : the exception.
     signalled : the number of the signal that was sent to end the command, or 0. A library may have
         turned its KeyboardInterrupt into an exception of its own.
-    keeps : whether the command goes on from what it saved before an interrupt.
     """
     stopped = 128 + (signalled or signal.SIGINT)
     if isinstance(error, Interrupted):
@@ -99,8 +91,7 @@ def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tu
         cause = error.__cause__ or error
         where = f" {text}" if isinstance(cause, KeyboardInterrupt) and (
             text := str(cause).strip()) else ""
-        kept = "; what was saved is kept" if keeps else ""
-        return f"interrupted{where}{kept}: give the same command again", stopped
+        return f"interrupted{where}: give the same command again", stopped
     if isinstance(error, click.UsageError):
         command = error.ctx.command_path if error.ctx else "clsplat"
         return f"error: {error.format_message()} See `{command} --help`.", 2
@@ -165,6 +156,3 @@ for _command in (main, *main.commands.values()):
     _command.params.append(click.Option(
         ["--traceback"], is_flag=True, expose_value=False,
         help="Show where in the code an error arose."))
-    for _parameter in _command.params:
-        if isinstance(_parameter.type, click.Path):
-            _parameter.type = NonEmptyPath(path_type=Path)

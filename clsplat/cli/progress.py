@@ -19,6 +19,7 @@ SPEED_REPORTS = 8  # latest reports, over which speed is measured
 TICK_SECONDS = 1.0  # between two drawings on a terminal, where nothing is reported meanwhile
 NOTED_SECONDS = 2.0  # a phase that has taken longer than this shows its time
 BAR = 20  # characters
+UNKNOWN = -float("inf")  # time at which a phase ends, or at which nothing was shown
 
 
 class Progress(SilentProgress):
@@ -36,21 +37,15 @@ class Progress(SilentProgress):
     """
 
     def __init__(self, stop_at: int = 0, file: TextIO | None = None, title: str = "") -> None:
-        self._stop_at, self._title = stop_at, title
+        self._stop_at, self._title = stop_at, f"{title}: " if title else ""
         self._file: TextIO | None = sys.stderr if file is None else file  # None if it is closed
         self._live = self._file is not None and self._file.isatty()
         self._drawn = 0  # columns of the line that is on the terminal
         self._logged: set[str] = set()  # phases
-        self._latest = ""  # numbers that the log does not have yet
-        self._shown_at = -float("inf")
-        self._marks: deque[tuple[float, int]] = deque(maxlen=SPEED_REPORTS)  # time and progress
-        self._rate = 0.0
-        self._phase = self._what = self._reached = ""  # as it is shown, and without numbers
-        self._began = 0.0  # when the phase began
-        self._ends: float | None = None  # when it will end; None: unknown
-        self._numbers: list[str] = []  # the most important ones first
-        self._lock = threading.RLock()  # of all above
+        self._shown_at = UNKNOWN
+        self._lock = threading.RLock()  # of all above and of the phase
         self._ended = threading.Event()
+        self._begin("")
 
     def __enter__(self) -> Progress:
         if self._live:
@@ -63,39 +58,34 @@ class Progress(SilentProgress):
         with self._lock:
             if self._live:
                 self._draw("")
-            elif self._latest:
-                self._log(self._latest)
-                self._latest = ""
 
     def _tick(self, ended: threading.Event) -> None:
         """Draw the line again and again: its time passes also while a library works."""
         while not ended.wait(TICK_SECONDS):
             with self._lock:
                 if self._drawn and not ended.is_set():
-                    self._draw_line()
+                    self._show()
 
     def __call__(self, iteration: int, total: int, loss: float, gaussians: int, memory_bytes: int,
                  level: float) -> None:
         """Show the numbers of a training step."""
         end = min(self._stop_at or total, total)
-        self._report(training_at(level), "", iteration, end, f"{iteration}/{end}", "it/s", [
+        self._report(training_at(level), ", {}/{}", iteration, end, " it/s", [
             f"loss {loss:.4f}", f"{gaussians:,} gaussians", f"{memory_bytes / 2**20:,.0f} MiB"])
 
     def count(self, what: str, done: int, total: int) -> None:
         """Show how many of `total` things are done, such as "photo", 3, 48."""
-        self._report(what, f" {done} of {total}", done, total)
+        self._report(what, " {} of {}", done, total)
 
     def phase(self, text: str) -> None:
         """Show the current phase, which may be the same as before; speed is not measured in it."""
         with self._lock:
-            if text == self._what:
+            if text == self._phase:
                 return
             self._begin(text)
-            if self._live:
-                self._draw_line()
-            elif text not in self._logged:
+            if self._live or text not in self._logged:
                 self._logged.add(text)
-                self._log(self._titled())
+                self._show()
 
     def message(self, text: str) -> None:
         """Print a line that stays."""
@@ -103,66 +93,49 @@ class Progress(SilentProgress):
             self._draw("")
             self._write(text + "\n")
             if self._live:
-                self._draw_line()
+                self._show()
 
     def _begin(self, what: str) -> None:
         """Begin a phase, of which nothing is known yet."""
-        self._phase = self._what = what
-        self._began, self._ends, self._rate = time.monotonic(), None, 0.0
-        self._marks.clear()
-        self._numbers, self._latest, self._reached = [], "", ""
+        self._phase = self._text = what  # without and with numbers
+        self._began, self._ends = time.monotonic(), UNKNOWN
+        self._marks: deque[tuple[float, int]] = deque(maxlen=SPEED_REPORTS)  # time and progress
+        self._numbers: list[str] = []  # the most important ones first
 
-    def _report(self, what: str, number: str, done: int, total: int, reached: str = "",
-                unit: str = "", more: Sequence[str] = ()) -> None:
-        """Show numbers: on a terminal after DRAW_SECONDS or in a new phase, in a log after
-        LOG_SECONDS or at the end."""
+    def _report(self, phase: str, number: str, done: int, total: int, unit: str = "",
+                more: Sequence[str] = ()) -> None:
+        """Show numbers, but not more often than the stream should have them."""
         with self._lock:
-            now, before = time.monotonic(), self._phase
-            if what != self._what:
-                self._begin(what)
-            self._measure(now, done)
-            self._phase = what + number
-            known = self._rate > 0 and done < total
-            self._ends = now + (total - done) / self._rate if known else None
-            rate = f"{self._rate:.1f} {unit}" if self._rate and unit else ""
-            self._reached = reached
-            self._numbers = [_bar(done, total) if self._live else "", rate, *more]
-            if self._live:
-                if before != self._phase or now - self._shown_at >= DRAW_SECONDS:
-                    self._shown_at = now
-                    self._draw_line()
-                return
-            self._latest = ", ".join(self._fields())
-            if done == total or now - self._shown_at >= LOG_SECONDS:
+            now, begins = time.monotonic(), phase != self._phase
+            if begins:
+                self._begin(phase)
+            self._marks.append((now, done))
+            seconds, steps = now - self._marks[0][0], done - self._marks[0][1]
+            rate = steps / seconds if seconds > 0 and steps > 0 else 0.0
+            self._text = phase + number.format(done, total)
+            self._ends = now + (total - done) / rate if rate and done < total else UNKNOWN
+            self._numbers = [_bar(done, total) if self._live else "",
+                             f"{rate:.1f}{unit}" if rate and unit else "", *more]
+            if begins or done == total or now - self._shown_at >= (
+                    DRAW_SECONDS if self._live else LOG_SECONDS):
                 self._shown_at = now
-                self._log(self._latest)
-                self._latest = ""
-
-    def _measure(self, now: float, done: int) -> None:
-        if self._marks and now > self._marks[0][0]:
-            self._rate = max(0, done - self._marks[0][1]) / (now - self._marks[0][0])
-        self._marks.append((now, done))
-
-    def _fields(self) -> list[str]:
-        """What the line shows, the most important first."""
-        return [text for text in (self._titled(), self._reached, self._time(), *self._numbers)
-                if text]
+                self._show()
 
     def _time(self) -> str:
         """The time that is left or, if that is unknown or over, that has passed."""
         now = time.monotonic()
-        if self._ends is not None and now < self._ends + TICK_SECONDS:
+        if now < self._ends + TICK_SECONDS:
             return f"{clock(self._ends - now)} left"
         passed = now - self._began
         return f"{clock(passed)} so far" if passed >= NOTED_SECONDS else ""
 
-    def _titled(self) -> str:
-        return f"{self._title}: {self._phase}" if self._title else self._phase
-
-    def _draw_line(self) -> None:
-        if self._file is not None:
+    def _show(self) -> None:
+        """Draw the line on a terminal, the most important first, or write it to a log."""
+        fields = [text for text in (self._title + self._text, self._time(), *self._numbers) if text]
+        if not self._live:
+            self._write(", ".join(fields) + "\n")
+        elif self._file is not None:
             columns = os.get_terminal_size(self._file.fileno()).columns or DEFAULT_COLUMNS
-            fields = self._fields()
             while len(fields) > 1 and len(", ".join(fields)) >= columns:
                 fields.pop()
             self._draw(", ".join(fields)[:columns - 1])
@@ -172,9 +145,6 @@ class Progress(SilentProgress):
         if self._live and (line or self._drawn):
             self._write("\r" + line.ljust(self._drawn) + ("" if line else "\r"))
             self._drawn = len(line)
-
-    def _log(self, line: str) -> None:
-        self._write(line + "\n")
 
     def _write(self, text: str) -> None:
         """Write to the stream while that works: a closed pipe must not end a training."""

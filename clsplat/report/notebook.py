@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.edit.decimate import decimated
 from clsplat.edit.select import alive, selected
 from clsplat.errors import ClsplatError
 from clsplat.evaluation.survey import survey_of
@@ -34,9 +33,7 @@ if TYPE_CHECKING:
 THUMBNAIL, SMALL = 320, 160  # pixels, the longer side of the photo of a view, and in a sheet
 SHEET = 12  # photos of a scene at most
 MOST_SHOWN = 100_000  # gaussians: a notebook stores 2 MB for them
-MOST_MERGED = 2 * MOST_SHOWN  # from which they are merged, which takes seconds
 STEEPNESS = -0.7  # of the first view: 45 degrees
-FLAT = 0.35  # of the middle axis of the positions: a thinner model lies on the ground
 USUAL_UPS = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # georeferenced and others, by COLMAP
 
 
@@ -104,7 +101,7 @@ def model_frame(gaussians: Gaussians) -> str:
         write_page(path, shown.located(np.zeros(3)), view, up, near=NEAR_SHARE * size,
                    title="model")
         page = path.read_text("utf-8")
-    few = f"; {shown.count:,} are shown here, merged of their neighbours" if (
+    few = f"; {shown.count:,} are shown here" if (
         shown.count < visible.count) else ""
     return (f'<iframe srcdoc="{escape(page)}" sandbox="allow-scripts" loading="lazy" '
             'style="width: 100%; height: 480px; border: 0"></iframe>\n'
@@ -112,26 +109,16 @@ def model_frame(gaussians: Gaussians) -> str:
 
 
 def smaller(gaussians: Gaussians) -> Gaussians:
-    """The model if it has at most MOST_SHOWN gaussians, else one of so many that looks like it: the
-    faintest and smallest are left out, and others merged."""
+    """The model, without its faintest and smallest gaussians if it has more than MOST_SHOWN."""
     if gaussians.count <= MOST_SHOWN:
         return gaussians
-    if gaussians.count > MOST_MERGED:
-        widest = np.sort(gaussians.log_scales, axis=1)[:, 1:].sum(axis=1)
-        mass = np.log(np.maximum(opacities(gaussians), 1e-9)) + widest
-        kept = np.sort(np.argpartition(-mass, MOST_MERGED)[:MOST_MERGED])
-        gaussians = selected(gaussians, kept)
-    return decimated(gaussians, MOST_SHOWN)
+    widest = np.sort(gaussians.log_scales, axis=1)[:, 1:].sum(axis=1)
+    mass = np.log(np.maximum(opacities(gaussians), 1e-9)) + widest
+    return selected(gaussians, np.sort(np.argpartition(-mass, MOST_SHOWN)[:MOST_SHOWN]))
 
 
 def likely_up(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """The direction float64[3] that probably points up in a model of places float64[N, 3] alone:
-    the thin side of a flat one, else the usual direction that is nearest to it."""
-    spread, axes = np.linalg.eigh(np.cov(points.T) if len(points) > 1 else np.eye(3))
-    along = USUAL_UPS @ axes[:, 0]
-    usual = int(np.argmax(np.abs(along)))
-    if spread[0] < FLAT**2 * spread[1] and along[usual]:
-        thin: NDArray[np.float64] = axes[:, 0] * np.sign(along[usual])
-        return thin
-    up: NDArray[np.float64] = USUAL_UPS[usual]
+    of the usual ones that along which it is thinner."""
+    up: NDArray[np.float64] = USUAL_UPS[np.argmin((points @ USUAL_UPS.T).std(axis=0))]
     return up

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 
 from clsplat.partition.options import METHODS
-from clsplat.report.figures.map import _centroid, partition_map
+from clsplat.report.figures.map import partition_map
 from tests.data.fields import cut, field, moved, world
 
 
@@ -38,13 +38,6 @@ def test_cells_points_and_cameras_are_where_they_are(method):
     blocks = np.bincount(np.concatenate(partition.views), minlength=30)
     assert np.array_equal(cameras.get_array(), blocks[taken])
     assert axes.get_aspect() == 1
-
-
-def test_a_label_stands_at_the_centre_of_area():
-    corner = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]) + [5e5, 4e6]
-    many = np.insert(corner, 1, corner[0] + np.linspace(0, 1, 20)[:, None] * [2, 0], axis=0)
-    for ring in (corner, corner[::-1], many):
-        assert _centroid(ring) - [5e5, 4e6] == pytest.approx(np.array([5, 5]) / 6)
 
 
 def test_labels_name_block_gaussians_and_views():

@@ -36,9 +36,8 @@ def test_a_model_shows_its_page_in_a_frame():
 
 def test_a_large_model_is_shown_by_a_smaller_one(monkeypatch):
     monkeypatch.setattr(notebook, "MOST_SHOWN", 100)
-    monkeypatch.setattr(notebook, "MOST_MERGED", 200)
     shown = model_frame(ground(500))
-    assert "500 gaussians, SH degree 1; 100 are shown here, merged of their neighbours" in shown
+    assert "500 gaussians, SH degree 1; 100 are shown here" in shown
     logits = np.full(500, -2.0, np.float32)
     logits[::5] = 5.0  # a hundred that are opaque
     kept = smaller(ground(500, opacity_logits=logits))
@@ -46,16 +45,9 @@ def test_a_large_model_is_shown_by_a_smaller_one(monkeypatch):
 
 
 @pytest.mark.parametrize("axes, up", [
-    (np.eye(3), (0, 0, 1)), (np.eye(3)[[0, 2, 1]], (0, -1, 0)),  # flat in z, and in y
-    (np.eye(3)[[2, 1, 0]], None)])
+    (np.eye(3), (0, 0, 1)), (np.eye(3)[[0, 2, 1]], (0, -1, 0))], ids=["flat in z", "flat in y"])
 def test_up_is_the_thin_side(axes, up):
-    found = likely_up(ground().positions.astype(np.float64) @ axes)
-    assert np.linalg.norm(found) == pytest.approx(1)
-    if up is not None:
-        assert found @ up > 0.99
-    ball = np.random.default_rng(0).normal(size=(500, 3))
-    assert any(np.array_equal(likely_up(ball), usual) for usual in notebook.USUAL_UPS)
-    assert np.array_equal(likely_up(np.zeros((1, 3))), likely_up(np.zeros((1, 3))))
+    assert np.array_equal(likely_up(ground().positions.astype(np.float64) @ axes), up)
 
 
 @needs_chromium

@@ -20,8 +20,8 @@ from clsplat.scene import Scene
 MOST_POINTS = 60_000  # drawn
 WHITE_SHARE = 0.55  # of the colours of points
 MOST_LABELLED = 16  # blocks; if there are more, only their numbers are written
-SIDE_POINTS = 48  # on each side of a cell in contracted space, where straight sides are curves
-END_DISTANCE = 1e-3  # from the ends of contracted space, where unbounded cells end before clipping
+SIDE_POINTS = 200  # on each side of a cell in contracted space, where straight sides are curves
+END_DISTANCE = 1e-3  # from the ends of contracted space, where unbounded cells end
 MARGIN = 0.05  # share of the extent around everything, to which unbounded cells are drawn
 WIDTH, HEIGHTS = 10, (4, 14)  # inches; the height follows the map within these limits
 
@@ -43,8 +43,8 @@ def partition_map(partition: Partition, scene: Scene, counts: NDArray[np.integer
     """
     points = world_of(scene, scene.points)
     counted = "points" if counts is None else "gaussians"
+    owner = partition.owner(points)
     if counts is None:
-        owner = partition.owner(points)
         counts = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
     ends = _extent(partition, scene)
     rings = [_outline(region, *ends) for region in partition.regions]
@@ -63,15 +63,15 @@ def partition_map(partition: Partition, scene: Scene, counts: NDArray[np.integer
         axes.scatter(x, y, s=3, linewidths=0, rasterized=True, zorder=1,
                      c=WHITE_SHARE + (1 - WHITE_SHARE) * scene.colours[::step] / 255)
         axes.add_collection(PolyCollection(
-            [ring for ring in rings if len(ring)], facecolors="none", edgecolors="#1d1f21",
+            rings, facecolors="none", edgecolors="#1d1f21",
             linewidths=1.3, zorder=3))
-        for block, ring in enumerate(rings):
-            if len(ring):
-                few = len(rings) <= MOST_LABELLED
-                axes.annotate(
-                    f"{block}" + few * f"\n{counts[block]:,} {counted}\n{views[block]} views",
-                    tuple(_centroid(ring)), ha="center", va="center", fontsize=9, fontweight="bold",
-                    zorder=5, path_effects=[withStroke(linewidth=3, foreground="white")])
+        for block in np.unique(owner[owner >= 0]):
+            few = len(rings) <= MOST_LABELLED
+            axes.annotate(
+                f"{block}" + few * f"\n{counts[block]:,} {counted}\n{views[block]} views",
+                tuple(np.median(partition.space.map(points[owner == block]), axis=0)), ha="center",
+                va="center", fontsize=9, fontweight="bold", zorder=5,
+                path_effects=[withStroke(linewidth=3, foreground="white")])
         _draw_cameras(figure, axes, partition, scene)
         axes.set(xlim=(left - 0.02 * width, right + 0.02 * width), aspect="equal",
                  ylim=(low - 0.02 * height, high + 0.02 * height),
@@ -123,49 +123,16 @@ def _extent(partition: Partition, scene: Scene) -> tuple[NDArray[np.float64], ND
 
 def _outline(region: Region, low: NDArray[np.float64], high: NDArray[np.float64]
             ) -> NDArray[np.float64]:
-    """The corners [K, 2] on the map of a Region's outline at the height of its space's origin.
-
-    It is clipped to `low` [2] and `high` [2] along u and v; K is 0 where nothing is left.
-    """
+    """The corners [K, 2] on the map of a Region's outline at the height of its space's origin, with
+    what lies beyond `low` [2] and `high` [2] along u and v moved there."""
     space = region.space
-    if space.contracted:
-        first, last = (np.maximum(region.low, END_DISTANCE)[:2],
-                       np.minimum(region.high, 1 - END_DISTANCE)[:2])
-        middle = 0.5
-    else:
-        first = np.maximum(region.low[:2], low / space.half[:2])
-        last = np.minimum(region.high[:2], high / space.half[:2])
-        middle = 0.0
-    if not (first < last).all():
-        return np.zeros((0, 2))
-    step = np.linspace(0, 1, SIDE_POINTS + 1 if space.contracted else 2)[:-1, None]
-    corners = np.array([first, (last[0], first[1]), last, (first[0], last[1])])
+    middle = 0.5 if space.contracted else 0.0
+    ends = (END_DISTANCE, 1 - END_DISTANCE) if space.contracted else (
+        low / space.half[:2], high / space.half[:2])
+    (left, lower), (right, upper) = (np.clip(end[:2], *ends) for end in (region.low, region.high))
+    corners = np.array([(left, lower), (right, lower), (right, upper), (left, upper)])
+    step = np.linspace(0, 1, SIDE_POINTS)[:, None]
     ring = np.concatenate([a + step * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0))])
     world = space.world(np.column_stack([ring, np.full(len(ring), middle)]))
-    along = _clipped((world - space.origin) @ space.rotation[:2].T, low, high)
+    along = np.clip((world - space.origin) @ space.rotation[:2].T, low, high)
     return space.map(space.origin + along @ space.rotation[:2])
-
-
-def _centroid(ring: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The centroid [2] of a polygon [K, 2]."""
-    a = ring - ring[0]  # far from the origin, products of coordinates would lose digits
-    b = np.roll(a, -1, 0)
-    cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    centre: NDArray[np.float64] = ring[0] + cross @ (a + b) / (3 * cross.sum())
-    return centre
-
-
-def _clipped(polygon: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
-             ) -> NDArray[np.float64]:
-    """The part of a polygon [K, 2] inside a rectangle (Sutherland and Hodgman 1974)."""
-    for axis in (0, 1):
-        for sign, end in ((1, low[axis]), (-1, high[axis])):
-            beyond = sign * (polygon[:, axis] - end)  # negative: outside
-            kept = []
-            for a, b, at, bt in zip(polygon, np.roll(polygon, -1, 0), beyond, np.roll(beyond, -1)):
-                if at >= 0:
-                    kept.append(a)
-                if (at >= 0) != (bt >= 0):
-                    kept.append(a + at / (at - bt) * (b - a))
-            polygon = np.array(kept).reshape(-1, 2)
-    return polygon
