@@ -65,9 +65,10 @@ def _float64(image: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(image, np.float64)
 
 
-def flip_map(image: ArrayLike, photo: ArrayLike) -> NDArray[np.float32]:
-    """FLIP of Andersson et al. (2020) for images of limited range, at PIXELS_PER_DEGREE: [H, W],
-    from 0 (no difference is visible to a person) to 1."""
+def flip(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
+    """FLIP of Andersson et al. (2020) for images of limited range, at PIXELS_PER_DEGREE: the mean,
+    from 0 (no difference is visible to a person) to 1. Pixels that do not count are taken as equal.
+    """
     import OpenImageIO as oiio
 
     def linear(image: ArrayLike) -> Any:
@@ -75,21 +76,14 @@ def flip_map(image: ArrayLike, photo: ArrayLike) -> NDArray[np.float32]:
         buffer.specmod().attribute("oiio:ColorSpace", "sRGB")  # which the library converts
         return buffer
 
-    difference = oiio.ImageBufAlgo.FLIP_diff(linear(photo), linear(image), hdr=0,
+    shown = image if valid is None else np.where(valid[..., None], image, photo)
+    difference = oiio.ImageBufAlgo.FLIP_diff(linear(photo), linear(shown), hdr=0,
                                              ppd=PIXELS_PER_DEGREE)
     pixels = difference.get_pixels()
     if difference.has_error or pixels is None:
         raise RuntimeError(difference.geterror())
-    error: NDArray[np.float32] = pixels[..., 0]
-    return error
-
-
-def flip(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
-    """The mean of `flip_map`: lower is better. Pixels that do not count are taken as equal."""
-    if valid is None:
-        return float(flip_map(image, photo).mean(dtype=np.float64))
-    shown = np.where(valid[..., None], image, photo)
-    return float(flip_map(shown, photo)[valid].mean(dtype=np.float64))
+    error = pixels[..., 0]
+    return float(error[... if valid is None else valid].mean(dtype=np.float64))
 
 
 class Lpips:

@@ -11,8 +11,9 @@ import signal
 import sys
 import threading
 
+import numpy as np
+
 from clsplat.cli.main import main
-from clsplat.io import npz
 from clsplat.io.runs.run import METRICS, RunFolder
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.training import recorder
@@ -22,7 +23,7 @@ from clsplat.training.step import Step
 BEFORE = {
     "step": (Step, "run"),
     "growth": (DeviceAdam, "regrow"),  # the rows have grown, their moments have not
-    "checkpoint": (npz, "write_array"),  # the arrays before it are in the file
+    "checkpoint": (np.lib.format, "write_array"),  # the arrays before it are in the file
     "rename": (os, "replace"),
     "evaluation": (recorder, "evaluate_views"),
     "model": (RunFolder, "save_model"),

@@ -1,10 +1,10 @@
-"""PSNR and SSIM recover what was put in."""
+"""PSNR, SSIM and FLIP recover what was put in."""
 
 import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.evaluation.metrics import psnr, ssim
+from clsplat.evaluation.metrics import flip, psnr, ssim
 
 
 @pytest.fixture
@@ -70,3 +70,14 @@ def test_only_pixels_that_count_count(photo):
     valid[:] = False
     valid[30:33, 30:60] = True  # too thin for a window
     assert 0 < ssim(noisy, photo, valid) < 1
+
+
+def test_flip_is_that_of_srgb_images(photo):
+    """The paper's formulas, in float64 numpy, gave these means."""
+    black = np.zeros((32, 32, 3))
+    assert flip(black, black) == 0
+    assert flip(black, black + 1) == pytest.approx(0.967, abs=2e-3)
+    assert flip(photo[::-1], photo) == pytest.approx(0.3110, abs=2e-4)
+    valid = np.zeros(photo.shape[:2], bool)
+    valid[20:60] = True
+    assert flip(np.where(valid[..., None], photo, 0), photo, valid) == 0

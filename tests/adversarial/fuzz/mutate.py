@@ -24,7 +24,6 @@ WORDS = (b"", b"0", b"-1", b"nan", b"NaN", b"inf", b"-Infinity", b"2147483648", 
          b"/etc", "\u2028é".encode(), b"\\ud800", b"a\\nb")
 NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 FIELD = re.compile(rb"[^\s,:=\[\]{}\"]+")
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 GZIP_MAGIC, GLB_MAGIC = b"\x1f\x8b", b"glTF"
 DTYPES = ("<f2", "<f4", "<f8", ">f8", "<i1", "<i4", "<i8", "<u8", "?", "<c16", "<U3", "S3", "O",
           "<M8[s]")
@@ -35,8 +34,6 @@ def mutated(random, data, other, text=False):
     for _ in range(random.choice((1, 1, 1, 2, 3))):
         if zipfile.is_zipfile(io.BytesIO(data)) and random.random() < 0.8:
             data = _inside_zip(random, data, other)
-        elif data.startswith(PNG_SIGNATURE) and random.random() < 0.5:
-            data = _inside_png(random, data)
         elif data.startswith(GZIP_MAGIC) and random.random() < 0.8:
             data = _inside_gzip(random, data)
         elif data.startswith(GLB_MAGIC) and random.random() < 0.6:
@@ -138,30 +135,6 @@ def lines(random, data, other):
 
 
 LINES = (text_number, text_number, field, lines)
-
-
-def _inside_png(random, data):
-    """One chunk of a PNG mutated, its length and checksum made to fit."""
-    chunks, place = [], len(PNG_SIGNATURE)
-    while place + 12 <= len(data):
-        size = int.from_bytes(data[place:place + 4], "big")
-        chunks.append((data[place + 4:place + 8], data[place + 8:place + 8 + size]))
-        place += 12 + size
-    if not chunks:
-        return data
-    at = random.randrange(len(chunks))
-    kind, content = chunks[at]
-    if kind == b"IDAT" and random.random() < 0.5:
-        try:
-            content = zlib.compress(random.choice(BYTES)(random, zlib.decompress(content), b""))
-        except zlib.error:  # an earlier mutation hit it
-            content = b""
-    else:
-        content = random.choice(BYTES)(random, content, chunks[-1][1])
-    chunks[at] = kind, content
-    return PNG_SIGNATURE + b"".join(
-        len(content).to_bytes(4, "big") + kind + content + zlib.crc32(kind + content).to_bytes(
-            4, "big") for kind, content in chunks)
 
 
 def _inside_gzip(random, data):

@@ -5,10 +5,7 @@ What a reader accepts must be usable, so `read` also looks at what it got: an as
 is a fault as much as a traceback.
 """
 
-import functools
-
 import numpy as np
-import OpenImageIO as oiio
 
 from clsplat.camera import Camera
 from clsplat.gaussians import LEARNED
@@ -22,21 +19,15 @@ from clsplat.io.georeference.files import (
 )
 from clsplat.io.models.formats import read_model, write_model
 from clsplat.io.models.ply import read_ply, write_ply
-from clsplat.io.photos.depth import read_depth
 from clsplat.io.photos.images import image_size, read_image, write_image
-from clsplat.io.photos.lenses import undistorted_model
 from clsplat.io.photos.metadata import read_metadata
-from clsplat.io.photos.photo import opened
-from clsplat.io.photos.views import read_valid
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import from_toml, resolve
-from clsplat.scene import View
 from clsplat.training import checkpoint
 from tests.adversarial.fuzz.reader import Reader, check, gaussians_like, usable
 from tests.data import layouts, projects
 from tests.data.tiny_model import reconstruction, write_scene
-from tests.io.photos.test_lenses import arrays_of
 from tests.io.photos.test_metadata import GPS, photo
 
 # --- scenes, models, runs
@@ -179,7 +170,6 @@ DJI = {"GimbalYawDegree": "+12.50", "GimbalPitchDegree": "-89.90", "GimbalRollDe
        "CalibratedFocalLength": "3666.0", "DewarpData": "2020-01-01;3.6,3.6,1,1,0,0,0,0,0"}
 EXIF = {**GPS, "Exif:FocalLength": 8.8, "Exif:FocalLengthIn35mmFilm": 24, "Make": "DJI",
         "Model": "FC6310", "DateTime": "2020:01:02 03:04:05", "Orientation": 6}
-SIZE, LENS = (24, 18), (20.0, 20.0, 11.5, 9.5, -0.1, 0.02, 1e-3, -2e-3)
 
 
 def _finite(*values):
@@ -240,77 +230,6 @@ def _read_control_points(folder):
         _finite(point.position, *(mark[1:] for mark in point.marks))
 
 
-@functools.cache
-def _lens():
-    """A lens with distortion."""
-    model = undistorted_model("made", arrays_of(["photo.png"], SIZE), [("OPENCV", LENS)])
-    return model["lenses"][0]
-
-
-def _views(photo, **beside):
-    """The view of a photo by a pinhole camera of half its size, and that by a lens."""
-    lens, (width, height) = _lens(), SIZE
-    for size, known in (((width // 2, height // 2), None), ((lens.width, lens.height), lens)):
-        camera = Camera.looking_at((0, 0, 0), (1, 2, 3), width=size[0], height=size[1])
-        yield View(photo.name, camera, photo, known, **beside)
-
-
-def _masks(folder):
-    """A photo and its mask: in grey, in colours, and with alpha in the photo."""
-    random = np.random.default_rng(0)
-    for number, channels in enumerate((1, 3, 4)):
-        seed = folder / str(number)
-        (seed / "masks").mkdir(parents=True)
-        _write(seed / "photo.png", random.integers(0, 256, (18, 24, max(channels, 3)), np.uint8))
-        _write(seed / "masks/photo.png", random.integers(0, 256, (18, 24, channels), np.uint8))
-        yield seed
-
-
-def _read_masks(folder):
-    photo = folder / "photo.png"
-    with opened(photo) as header:
-        transparent = header.has_alpha
-    for view in _views(photo, mask=folder / "masks/photo.png", transparent=transparent):
-        valid = read_valid(view)
-        assert valid is None or valid.shape == (view.camera.height, view.camera.width)
-
-
-def _depths(folder):
-    """A photo and its depth map in each format."""
-    depth = np.random.default_rng(0).uniform(1, 9, (9, 12, 1)).astype(np.float32)
-    for number, (suffix, values) in enumerate((
-            (".npy", depth), (".npy", 1000 * depth), (".tif", depth), (".exr", depth),
-            (".png", 1000 * depth), (".tif", 1000 * depth))):
-        seed = folder / str(number)
-        seed.mkdir()
-        _write(seed / "photo.jpg", np.zeros((18, 24, 3), np.uint8))
-        values = values if values is depth else values.astype(np.uint16)
-        if suffix == ".npy":
-            np.save(seed / "photo.npy", values[..., 0])
-        else:
-            _write(seed / f"photo{suffix}", values)
-        yield seed
-
-
-def _write(path, values):
-    output = oiio.ImageOutput.create(str(path))
-    kind = {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float32": oiio.FLOAT}[values.dtype.name]
-    height, width, channels = values.shape
-    spec = oiio.ImageSpec(width, height, channels, kind)
-    spec.attribute("DateTime", "2026:01:02 03:04:05")  # else EXR has the present time
-    assert output.open(str(path), spec)
-    assert output.write_image(values) and output.close()
-
-
-def _read_depths(folder):
-    photo = folder / "photo.jpg"
-    path, = (path for path in folder.iterdir() if path != photo)
-    for view in _views(photo, depth=path):
-        depth = read_depth(view)
-        assert depth.shape == (view.camera.height, view.camera.width)
-        assert np.isfinite(depth).all() and (depth >= 0).all()
-
-
 # --- projects of other programs
 
 PROJECT_LENS = (40.0, 40.0, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0)
@@ -362,8 +281,6 @@ READERS = {
     "opf": Reader(_opf, _scene, text=True, files=(".opf", ".json", ".gltf", ".bin")),
     "image": Reader(_made_images, _image),
     "metadata": Reader(_metadata, _read_metadata, files=(".jpg",)),
-    "masks": Reader(_masks, _read_masks, files=(".png",)),
-    "depths": Reader(_depths, _read_depths, files=(".npy", ".tif", ".exr", ".png")),
     "ply": Reader(_made_plys, _ply, files=(".ply",)),
     **{suffix[1:]: _model(suffix) for suffix in (
         ".spz", ".sog", ".glb", ".las")},  # lazrs aborts on bad LAZ
