@@ -55,8 +55,8 @@ def predicted_responses(views: Iterable[View], learned: Mapping[str, Response] |
     if not learned or not known:
         return None
     transforms = np.array([learned[ordered[place].name].transform for place in known])
-    mean, weight = transforms.mean(axis=0), interpolation_weight(np.array(known), transforms)
-    between = interpolated(np.arange(len(ordered)), np.array(known), transforms)
+    mean, weight = transforms.mean(axis=0), _weight(np.array(known), transforms)
+    between = _interpolated(np.arange(len(ordered)), np.array(known), transforms)
     lenses = {lens_kind(ordered[place].camera): learned[ordered[place].name] for place in known}
     responses = {view.name: replace(lenses.get(lens_kind(view.camera), Response()),
                                     transform=mean + weight * (transform - mean))
@@ -64,22 +64,14 @@ def predicted_responses(views: Iterable[View], learned: Mapping[str, Response] |
     return Predicted({**responses, **learned}, weight)
 
 
-def interpolation_weight(places: NDArray[np.integer], transforms: NDArray[np.float64]) -> float:
-    """The share of the interpolation that predicts training photos best, by least squares.
-
-    Each is predicted from the others: its place between its neighbours is as far from them as that
-    of a held-out photo.
-
-    Parameters
-    ----------
-    places : int[V], the places of the photos in the order of all, ascending.
-    transforms : float64[V, 3, 4].
-    """
+def _weight(places: NDArray[np.integer], transforms: NDArray[np.float64]) -> float:
+    """The share of the interpolation that predicts each training photo best from the others, by
+    least squares: its place is as far from its neighbours as that of a held-out photo."""
     count = len(places)
     if count < FEWEST_PHOTOS:
         return 0.0
     means = (transforms.sum(axis=0) - transforms) / (count - 1)
-    away = np.array([interpolated(place, np.delete(places, index), np.delete(transforms, index, 0))
+    away = np.array([_interpolated(place, np.delete(places, index), np.delete(transforms, index, 0))
                      for index, place in enumerate(places)]) - means
     square = float(np.vdot(away, away))
     if square <= ROUNDING * count:
@@ -87,10 +79,9 @@ def interpolation_weight(places: NDArray[np.integer], transforms: NDArray[np.flo
     return min(1.0, max(0.0, float(np.vdot(away, transforms - means)) / square))
 
 
-def interpolated(at: NDArray[np.integer], places: NDArray[np.integer],
+def _interpolated(at: NDArray[np.integer], places: NDArray[np.integer],
                  transforms: NDArray[np.float64]) -> NDArray[np.float64]:
-    """float64[..., 3, 4], linear between the neighbours of places; that of the nearest at the
-    ends."""
+    """float64[..., 3, 4], linear between the neighbours; that of the nearest at the ends."""
     columns = transforms.reshape(len(transforms), -1).T
     return np.stack([np.interp(at, places, column) for column in columns],
                     axis=-1).reshape(*np.shape(at), 3, 4)

@@ -3,7 +3,7 @@
 import errno
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import BufferedWriter
 from os import PathLike
 from pathlib import Path
@@ -26,30 +26,21 @@ def replacing(path: str | PathLike[str]) -> Iterator[BufferedWriter]:
     try:
         if path.is_dir():  # which would be found only when all is written
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        _remove(partial)  # a killed process may have left one; a link would be followed
+        partial.unlink(missing_ok=True)  # of a killed process; a link would be followed
         with open(partial, "wb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-            size = file.seek(0, os.SEEK_END)
-        if partial.stat().st_size != size:
-            raise OSError(errno.EIO, "it is not whole")
         os.replace(partial, path)
     except BaseException as error:
-        _remove(partial)
+        with suppress(OSError):  # the folder is missing or read-only: so is the file
+            partial.unlink(missing_ok=True)
         cause = _system_error(error) if isinstance(error, Exception) else None
         if cause is None:
             raise
         cure = ("free some space and try again (a training: with --resume)"
                 if cause.errno in DISK_FULL else "check that the folder exists and may be written")
         raise InputError(f"{path}: cannot be written ({cause.strerror}); {cure}") from error
-
-
-def _remove(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError:
-        pass  # the folder is missing or read-only: so is the file
 
 
 def _system_error(error: BaseException | None) -> OSError | None:

@@ -46,8 +46,8 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
     work = database.parent
     progress.phase("global mapping")
     models = _global(database, work / "global", fixed)
-    if not fixed and not all(map(square, models)):
-        use_square_pixels(database, cameras)
+    if not fixed and not all(map(_square, models)):
+        _use_square_pixels(database, cameras)
         models = _global(database, work / "global", fixed)
     # photos that match no other one cannot be placed in any way
     if matched and not any(model.num_reg_images() == matched
@@ -68,14 +68,14 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
                                           model.compute_num_observations()))
 
 
-def square(model: Any) -> bool:
+def _square(model: Any) -> bool:
     """Whether the focal lengths of each camera are nearly equal, as those of all lenses are; else
     the photos do not determine so many parameters."""
     return all(abs(camera.focal_length_x / camera.focal_length_y - 1) <= LARGEST_ASPECT
                for camera in model.cameras.values())
 
 
-def use_square_pixels(path: Path, cameras: Sequence[SourceCamera]) -> None:
+def _use_square_pixels(path: Path, cameras: Sequence[SourceCamera]) -> None:
     """Give cameras that may have two focal lengths and decentring a model that has neither."""
     with pycolmap.Database.open(path) as database:
         for number, source in enumerate(cameras, 1):

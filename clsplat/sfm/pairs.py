@@ -102,25 +102,16 @@ def _similar(database: Path, count: int, progress: Progress) -> Iterator[tuple[i
         progress.count("comparing photo", first + 1, count)
         for begin in range(first + 1, count, COMPARED_AT_ONCE):
             others = slice(begin, min(begin + COMPARED_AT_ONCE, count))
-            shared[first, others] = shared[others, first] = shared_features(
+            shared[first, others] = shared[others, first] = _shared_features(
                 descriptors[first], descriptors[others])
     for index, row in enumerate(shared):
         best = np.argsort(-row, kind="stable")[:SIMILAR]
         yield from ((index, int(other)) for other in best if row[other] > 0)
 
 
-def shared_features(first: NDArray[np.float32], others: NDArray[np.float32]) -> NDArray[np.int64]:
-    """How many unit vectors are much nearer to one of another set than to the rest of that set.
-
-    Parameters
-    ----------
-    first : [M, 128]; the vectors. Those that are zero count as none.
-    others : [S, M, 128]; other sets.
-
-    Returns
-    -------
-    int64[S].
-    """
+def _shared_features(first: NDArray[np.float32], others: NDArray[np.float32]) -> NDArray[np.int64]:
+    """int64[S], how many unit vectors [M, 128] are much nearer to one of another set [S, M, 128]
+    than to the rest of that set; zero vectors count as none."""
     sets, size, _ = others.shape
     cosines = (first @ others.reshape(sets * size, -1).T).reshape(len(first), sets, size)
     angles = np.arccos(np.clip(np.partition(cosines, -2, axis=2)[:, :, -2:], -1, 1))

@@ -344,9 +344,7 @@ def _facts(model: pycolmap.Reconstruction, cameras: Sequence[SourceCamera], plac
         "cameras": [{
             "model": model.cameras[number].model_name, "width": source.width,
             "height": source.height, "parameters": model.cameras[number].params,
-            "photos": len(source.photos), "focal_before": source.focal,
-            "focal_from": "by the maker" if source.calibration else
-            "metadata" if source.focal_known else "guess"}
+            "photos": len(source.photos)}
             for number, source in enumerate(cameras, 1) if number in model.cameras],
         "georeferenced": known is not None, "up": placed.up,
         "control_points": list(map(asdict, control)), "notes": placed.notes,

@@ -6,6 +6,7 @@ It needs PyAV, an optional library.
 import os
 import shutil
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -66,21 +67,15 @@ def _sharpest(path: Path, count: int, progress: Progress) -> Iterator[Any]:
         if not total and container.duration and stream.average_rate:
             total = int(container.duration / av.time_base * stream.average_rate)
         total = max(total, count)
-        best: Any = None
-        sharpest, window = -1.0, 0
-        for index, frame in enumerate(container.decode(stream)):
-            # a file may have more frames than its header claims
-            current = min(index * count // total, count - 1)
-            if current != window and best is not None:
-                yield best
-                sharpest = -1.0
-            window = current
-            progress.count("looking for sharp frames, frame", min(index + 1, total), total)
-            value = sharpness(frame.to_ndarray(format="gray"))
-            if value > sharpest:
-                best, sharpest = frame, value
-        if best is not None:
-            yield best
+
+        def judged(numbered: tuple[int, Any]) -> float:
+            progress.count("looking for sharp frames, frame", min(numbered[0] + 1, total), total)
+            return sharpness(numbered[1].to_ndarray(format="gray"))
+
+        # a file may have more frames than its header claims
+        for _, window in groupby(enumerate(container.decode(stream)), key=lambda numbered: min(
+                numbered[0] * count // total, count - 1)):
+            yield max(window, key=judged)[1]
 
 
 def sharpness(grey: NDArray[Any]) -> float:

@@ -7,8 +7,8 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.evaluation.held_out_responses import (
-    interpolated,
-    interpolation_weight,
+    _interpolated,
+    _weight,
     predicted_responses,
 )
 from clsplat.response import Response
@@ -49,19 +49,19 @@ def test_where_neighbours_tell_nothing_the_mean_does():
     mean = np.mean([response.transform for response in known.values()], axis=0)
     assert found.weight < 0.5
     alone = np.random.default_rng(0).normal(1, 0.1, 200)
-    assert interpolation_weight(np.arange(200), transforms_of(alone)) < 0.2
+    assert _weight(np.arange(200), transforms_of(alone)) < 0.2
     assert np.abs(found.responses["photo_1.jpg"].transform - mean).max() < 0.15
 
 
 def test_between_two_places_and_at_the_ends():
     places, known = np.array([2, 4, 8]), transforms_of([1, 2, 4])
     for place, gain in ((0, 1), (2, 1), (3, 1.5), (5, 2.5), (7, 3.5), (9, 4)):
-        assert np.allclose(interpolated(place, places, known), np.eye(3, 4) * gain), place
+        assert np.allclose(_interpolated(place, places, known), np.eye(3, 4) * gain), place
 
 
 @pytest.mark.parametrize("gains", [[1.1], [1.1, 0.9], [1.0, 1.0, 1.0, 1.0]])
 def test_few_or_equal_photos_leave_the_mean(gains):
-    assert interpolation_weight(np.arange(len(gains)), transforms_of(gains)) == 0
+    assert _weight(np.arange(len(gains)), transforms_of(gains)) == 0
 
 
 def test_a_lens_is_that_of_training_photos_of_its_shape():

@@ -6,7 +6,7 @@ import pytest
 
 from clsplat.sfm import mapping
 from clsplat.sfm.features import create_database
-from clsplat.sfm.mapping import map_photos, square, use_square_pixels
+from clsplat.sfm.mapping import _square, _use_square_pixels, map_photos
 from clsplat.sfm.photos import cameras_of
 from clsplat.sfm.reconstruct import reasons
 from tests.sfm.cases import Lines, source, synthetic
@@ -44,13 +44,13 @@ def test_reasons_name_what_is_missing(tmp_path):
 
 def test_cameras_whose_pixels_are_not_square_get_a_simpler_model(tmp_path):
     model = synthetic()
-    assert square(model)
+    assert _square(model)
     model.cameras[1] = pycolmap.Camera(model="OPENCV", width=320, height=240, camera_id=1,
                                        params=[400, 300, 160, 120, 0, 0, 0, 0])
-    assert not square(model)
+    assert not _square(model)
     cameras = cameras_of([source(f"{index}.jpg") for index in range(8)])
     create_database(tmp_path / "d.db", cameras)
-    use_square_pixels(tmp_path / "d.db", cameras)
+    _use_square_pixels(tmp_path / "d.db", cameras)
     with pycolmap.Database.open(tmp_path / "d.db") as database:
         camera = database.read_camera(1)
     assert camera.model_name == "RADIAL" and camera.focal_length == pytest.approx(1.2 * 64)

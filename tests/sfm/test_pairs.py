@@ -5,7 +5,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.sfm import pairs
-from clsplat.sfm.pairs import choose_pairs, shared_features
+from clsplat.sfm.pairs import _shared_features, choose_pairs
 from tests.sfm.cases import Lines, source
 
 
@@ -56,7 +56,7 @@ def test_shared_features():
     other = rng.normal(size=(30, 128)).astype(np.float32)
     other /= np.linalg.norm(other, axis=1, keepdims=True)
     half = np.concatenate([first[:10], other[10:]])
-    equal, ten, none = shared_features(first, np.array([first[::-1], half, other]))
+    equal, ten, none = _shared_features(first, np.array([first[::-1], half, other]))
     assert equal == 30 and 10 <= ten < 15 and none < 5
     few = np.concatenate([first[:10], np.zeros_like(first[10:])])
-    assert shared_features(few, np.array([first, 0 * first])).tolist() == [10, 0]
+    assert _shared_features(few, np.array([first, 0 * first])).tolist() == [10, 0]
