@@ -16,13 +16,14 @@ from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.edit.select import selected
 from clsplat.errors import InputError
-from clsplat.evaluation.run import Run, Streaming, open_tree
+from clsplat.evaluation.run import Run, has_tree, open_tree
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
 from clsplat.io.models.tree import Tree
 from clsplat.io.photos.images import eight_bits, write_image
 from clsplat.rendering.slabs import ModelRenderer, open_model
+from clsplat.rendering.tree import HOST_BYTES
 from clsplat.scene import Scene
 
 try:
@@ -45,7 +46,7 @@ def check_codec() -> None:
 
 
 def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device,
-           streaming: Streaming | None = None, everything: bool = False) -> Iterable[Pixels]:
+           host_bytes: float = HOST_BYTES, everything: bool = False) -> Iterable[Pixels]:
     """Draw a finished run.
 
     Parameters
@@ -54,16 +55,16 @@ def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device,
     scene : of the run; from which the near plane follows.
     cameras : in original coordinates.
     device : an open device.
-    streaming : draw the tree of the run in this way, which always draws all; None: its model.
-    everything : whether gaussians that are not `supported` are drawn.
+    host_bytes : for a tree; see `TreeRenderer`.
+    everything : whether gaussians that are not `supported` are drawn, as a tree's always are.
     """
     options = run.options
     near = scene.near(options.near) * scene.unit
     renderer: ModelRenderer
     rows: Any
     model: Tree | Gaussians
-    if streaming:
-        renderer, rows = open_tree(run, device, near, streaming)
+    if has_tree(run):
+        renderer, rows = open_tree(run, device, near, host_bytes)
         model = rows
     else:
         model = run.finished_model

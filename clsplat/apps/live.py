@@ -11,10 +11,11 @@ from typing import Any, NoReturn
 from clsplat.apps.models import photos_of
 from clsplat.apps.server import FrameRequests, ViewServer
 from clsplat.device import Device
-from clsplat.evaluation.run import Run, Streaming, open_tree, shown
+from clsplat.evaluation.run import Run, has_tree, open_tree, shown
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.tree import Tree
 from clsplat.rendering.slabs import ModelRenderer, open_model
+from clsplat.rendering.tree import HOST_BYTES
 from clsplat.report.model_page import filled, near_of, view_record
 from clsplat.report.page import full_name, script_json
 from clsplat.scene import Scene
@@ -32,7 +33,7 @@ def live_page(title: str, view: dict[str, Any]) -> str:
 
 
 def show_run(run: Run, device: Device, opened: Callable[[str], object], port: int = 0,
-             streaming: Streaming | None = None) -> NoReturn:
+             host_bytes: float = HOST_BYTES) -> NoReturn:
     """Serve a page of a run's model, and draw its frames, until KeyboardInterrupt.
 
     Parameters
@@ -41,17 +42,17 @@ def show_run(run: Run, device: Device, opened: Callable[[str], object], port: in
     device : that draws.
     opened : called with the address of the page.
     port : as for ViewServer.
-    streaming : draw the tree of the run in this way; None: its model.
+    host_bytes : for a tree; see `TreeRenderer`.
 
     Raises
     ------
-    InputError : there is no model or no tree, or the port cannot be opened.
+    InputError : there is no model, or the port cannot be opened.
     """
     renderer: ModelRenderer
     rows: Any
     model: Tree | Gaussians
-    if streaming:
-        renderer, rows = open_tree(run, device, near_of(run), streaming)
+    if has_tree(run):
+        renderer, rows = open_tree(run, device, near_of(run), host_bytes)
         model, positions = rows, rows.read(len(rows.nodes) - 1, "positions")  # of the root
     else:
         model, options = shown(latest_model(run.folder), run.path), run.options

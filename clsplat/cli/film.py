@@ -12,9 +12,9 @@ from clsplat.cli.flags import (
     check_free,
     device_flag,
     everything_flag,
+    host_memory_flag,
     moved_scene_flag,
     size_type,
-    streaming_flags,
 )
 from clsplat.errors import InputError
 
@@ -39,11 +39,11 @@ AUTO, PHOTOS, TURNTABLE = "auto", "photos", "turntable"
               "that of the photos or of the camera path.")
 @everything_flag
 @click.option("--overwrite", is_flag=True, help="Replace an existing film.")
-@streaming_flags
+@host_memory_flag
 @moved_scene_flag
 @device_flag
 def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: tuple[int, int],
-         fov: float | None, everything: bool, overwrite: bool, lod: bool, host_memory: float | None,
+         fov: float | None, everything: bool, overwrite: bool, host_memory: float,
          scene: Path | None, device: str) -> None:
     """Draw a flight through RUN as a film."""
     from dataclasses import replace
@@ -68,7 +68,7 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
     )
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
-    from clsplat.evaluation.run import Run, streaming_of
+    from clsplat.evaluation.run import Run
     as_film = output.suffix.lower() in SUFFIXES
     if not as_film and output.suffix:
         raise InputError(f"{output}: unknown suffix '{output.suffix}'; known: "
@@ -96,7 +96,7 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
     with Progress() as progress:
         progress.phase("opening the device")
         pictures = frames(opened, data, cameras, choose_device(device),
-                          streaming_of(opened, lod, host_memory), everything)
+                          host_memory, everything)
 
         def shown(number: int) -> None:
             progress.count("frame", number, count)

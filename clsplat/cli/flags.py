@@ -314,15 +314,9 @@ def bytes_of(text: str) -> float:
     return size
 
 
-def streaming_flags(command: Command) -> Command:
-    """Add the flags of commands that draw the tree of a city."""
-    host_memory = click.option(
-        "--host-memory", type=Parsed("SIZE", bytes_of), help="Host memory for what is drawn of a "
-        "city with a tree, such as 512MiB. Default: 1GiB.")
-    lod = click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of "
-                       "detail, and read only what a picture needs; needs a city with a tree "
-                       "(`clsplat merge --tree`).")
-    return lod(host_memory(command))
+host_memory_flag = click.option(
+    "--host-memory", type=Parsed("SIZE", bytes_of), default="1GiB", show_default=True,
+    help="Host memory for what is drawn of a city with a tree, such as 512MiB.")
 
 
 def check_free(output: Path, overwrite: bool) -> None:

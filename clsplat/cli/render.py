@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import device_flag, streaming_flags
+from clsplat.cli.flags import device_flag, host_memory_flag
 from clsplat.errors import InputError
 
 
@@ -19,10 +19,10 @@ from clsplat.errors import InputError
 @click.option("--views", type=click.Choice(("all", "test", "train")), default="all",
               show_default=True, help="Which views of the scene to render.")
 @click.option("--beside", is_flag=True, help="Put each render beside its photo.")
-@streaming_flags
+@host_memory_flag
 @device_flag
-def render(model: Path, scene: Path | None, output: Path, views: str, beside: bool, lod: bool,
-           host_memory: float | None, device: str) -> None:
+def render(model: Path, scene: Path | None, output: Path, views: str, beside: bool,
+           host_memory: float, device: str) -> None:
     """Render a run, or a file of gaussians, from the cameras of a scene.
 
     A city that was merged with --tree is read in parts, and need not fit memory.
@@ -30,11 +30,10 @@ def render(model: Path, scene: Path | None, output: Path, views: str, beside: bo
     from functools import partial
 
     from clsplat.device import choose_device
-    from clsplat.evaluation.run import Run, open_tree, scene_of_views, streaming_of, to_render
+    from clsplat.evaluation.run import Run, has_tree, open_tree, scene_of_views, to_render
     from clsplat.evaluation.views import opened, render_view, render_views
-    run = Run.open(model) if lod or model.is_dir() else None
-    streaming = streaming_of(run, lod, host_memory)
-    if run and streaming:
+    run = Run.open(model) if model.is_dir() else None
+    if run and has_tree(run):
         options = run.options
         data = scene_of_views(run, scene).reduced(options.downscale, options.max_resolution)
     else:
@@ -43,8 +42,9 @@ def render(model: Path, scene: Path | None, output: Path, views: str, beside: bo
     chosen = {"all": data.views, "train": train, "test": test}[views]
     if not chosen:
         raise InputError(f"{data.name}: has no {views} views; choose others with --views")
-    if run and streaming:
-        renderer, tree = open_tree(run, choose_device(device), data.near(options.near), streaming)
+    if run and has_tree(run):
+        renderer, tree = open_tree(run, choose_device(device), data.near(options.near),
+                                   host_memory)
         render_views(lambda camera: render_view(
             renderer, tree, tree.sh_degree, camera.shifted(tree.offset - data.offset)),
             chosen, output, beside)

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import device_flag, streaming_flags
+from clsplat.cli.flags import device_flag, host_memory_flag
 
 
 @click.command(short_help="Look at the model of RUN in the browser.")
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--port", type=click.IntRange(0, 65535), default=0,
               help="Port of the page; default: 8642 if it is free, else any.")
-@streaming_flags
+@host_memory_flag
 @device_flag
-def view(run: Path, port: int, lod: bool, host_memory: float | None, device: str) -> None:
+def view(run: Path, port: int, host_memory: float, device: str) -> None:
     """Show the model of RUN on a page for the browser, until Ctrl-C.
 
     clsplat draws every frame itself, so the page works in any browser. It can only be opened on
@@ -23,11 +23,9 @@ def view(run: Path, port: int, lod: bool, host_memory: float | None, device: str
     """
     from clsplat.apps.live import show_run
     from clsplat.device import choose_device
-    from clsplat.evaluation.run import Run, streaming_of
-    opened = Run.open(run)
-    streaming = streaming_of(opened, lod, host_memory)
+    from clsplat.evaluation.run import Run
     try:
-        show_run(opened, choose_device(device), announce, port, streaming)
+        show_run(Run.open(run), choose_device(device), announce, port, host_memory)
     except KeyboardInterrupt:
         click.echo("closed")
 

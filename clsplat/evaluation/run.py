@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, recorded
 from clsplat.rendering.slabs import ModelRenderer
-from clsplat.rendering.tree import HOST_BYTES, TreeRenderer
+from clsplat.rendering.tree import TreeRenderer
 from clsplat.scene import Scene
 
 if TYPE_CHECKING:
@@ -230,48 +230,22 @@ class Run:
         return f"<clsplat.Run {str(self.path)!r}, {state}>"
 
 
-class Streaming(NamedTuple):
-    """How a tree is drawn: whether far parts at coarser levels, and bytes of host memory."""
-
-    lod: bool
-    host_bytes: float = HOST_BYTES
+def has_tree(run: Run) -> bool:
+    """Whether a run is a city that was merged into a tree, which is drawn in place of its model."""
+    return (run.path / TREE).is_file()
 
 
-def streaming_of(run: Run | None, lod: bool, host_bytes: float | None) -> Streaming | None:
-    """How the tree of a run is drawn; None: its model is.
-
-    Parameters
-    ----------
-    run : None: a file.
-    lod : whether levels of detail are wanted. Otherwise a tree is drawn where there is no model, at
-        its finest level.
-    host_bytes : see `TreeRenderer`; None: HOST_BYTES.
-    """
-    if lod or run and (run.path / TREE).is_file() and not run.folder.has_model:
-        return Streaming(lod, host_bytes or HOST_BYTES)
-    if host_bytes:
-        raise InputError("--host-memory: has no effect without --lod; add --lod, or leave this out")
-    return None
-
-
-def open_tree(run: Run, device: Device, near: float, streaming: Streaming
+def open_tree(run: Run, device: Device, near: float, host_bytes: float
               ) -> tuple[TreeRenderer, Tree]:
-    """The tree of a run, and what draws it.
+    """What draws the tree of a run, and the tree; InputError if it is damaged.
 
     Parameters
     ----------
     run : the run.
     device : an open device.
     near : depth of the near plane, units of the model.
-    streaming : how it is drawn.
-
-    Raises
-    ------
-    InputError : the run has no tree, or it is damaged.
+    host_bytes : see `TreeRenderer`.
     """
-    if not (run.path / TREE).is_file():
-        raise InputError(f"{run.path / TREE}: no such file; a city has levels of detail to be "
-                         "streamed after `clsplat merge CITY --tree`")
     tree, options = Tree(run.path / TREE), run.options
     return TreeRenderer(device, tree, near, options.antialiased, options.background,
-                        finest=not streaming.lod, host_bytes=streaming.host_bytes), tree
+                        host_bytes=host_bytes), tree

@@ -106,7 +106,6 @@ class TreeRenderer:
     ----------
     device, near, antialiased, background : as for `pipeline.Renderer`.
     tree : that will be drawn, in the world of its cameras.
-    finest : whether every gaussian is drawn, instead of coarser levels far away.
     host_bytes : of host memory for what is drawn; on a device whose memory is the host's, for its
         arrays too. More is taken where the chosen nodes have more gaussians than a 32nd of this.
     limit : gaussians that are drawn at a time; None: as many as memory allows.
@@ -117,10 +116,10 @@ class TreeRenderer:
     """
 
     def __init__(self, device: Device, tree: Tree, near: float, antialiased: bool = False,
-                 background: Sequence[float] = (0.0, 0.0, 0.0), *, finest: bool = False,
+                 background: Sequence[float] = (0.0, 0.0, 0.0), *,
                  host_bytes: float = HOST_BYTES, limit: int | None = None) -> None:
         self.device, self.near = device, near
-        self._pixels = 0.0 if finest else MOST_SIGMA_PIXELS[antialiased]
+        self._pixels = MOST_SIGMA_PIXELS[antialiased]
         self._limit = limit or max(1, min(
             gaussian_limit(device, tree.sh_degree),
             int(AT_A_TIME * host_bytes / _drawn_bytes(device, tree.sh_degree))))

@@ -11,7 +11,6 @@ from clsplat.api.run import Run
 from clsplat.apps import live
 from clsplat.apps.live import TrainingView, live_page, show_run
 from clsplat.apps.server import FrameRequest
-from clsplat.evaluation.run import Streaming
 from clsplat.evaluation.views import render_view
 from clsplat.io.models.tree import TREE
 from clsplat.io.photos.images import read_image
@@ -138,16 +137,17 @@ def test_a_run_is_shown_as_its_model_is_rendered(item_device, city, tmp_path):
     camera = city.views[5].camera.resized(*FRAME)
     middle = camera.cropped(30, 22, 32, 24)
     model = run.model
-    write_tree(folder.path / TREE, iter([model]), model.sh_degree, model.offset)
     local = camera.shifted(model.offset - camera.offset)
     opened = open_model(item_device, model, city.near_plane)
     expected = render_view(*opened, model.sh_degree, local)
     assert expected.std() > 0.05
     points = city.points[city.views[5].sees(city.points)]
     depths = camera.project(points)[1]
-    for streaming in (None, Streaming(lod=False)):
-        answers = shown_on_a_page(run, item_device, streaming, camera, middle)
-        folder.model_path.unlink(missing_ok=True)
+    for drawn in ("model", "tree"):
+        if drawn == "tree":
+            write_tree(folder.path / TREE, iter([model]), model.sh_degree, model.offset)
+            folder.model_path.unlink()
+        answers = shown_on_a_page(run, item_device, camera, middle)
         code, jpeg = answers["frame"]
         assert code == 200
         assert np.abs(read_image(jpeg) / 255.0 - expected).mean() < 0.02
@@ -155,7 +155,7 @@ def test_a_run_is_shown_as_its_model_is_rendered(item_device, city, tmp_path):
         assert np.quantile(depths, 0.02) < depth < np.quantile(depths, 0.98)
 
 
-def shown_on_a_page(run, device, streaming, camera, middle):
+def shown_on_a_page(run, device, camera, middle):
     """{"frame", "depth"}: what the page of a run answers for two cameras."""
     answers, raise_in_next = {}, []
 
@@ -174,7 +174,7 @@ def shown_on_a_page(run, device, streaming, camera, middle):
         patch.setattr(live.FrameRequests, "next", until_answered)
         with pytest.raises(KeyboardInterrupt):
             show_run(run, device, lambda address: threading.Thread(
-                target=ask, args=(address,), daemon=True).start(), streaming=streaming)
+                target=ask, args=(address,), daemon=True).start())
     return answers
 
 

@@ -142,21 +142,18 @@ def test_a_tree_is_drawn_as_the_model_it_replaces(copy, tmp_path, capsys, monkey
     command("merge", copy.path, "--tree", "--device", DEVICE)
     assert f"{merged.count:,} gaussians of 2 blocks" in capsys.readouterr().out
     assert not (copy.path / "point_cloud.ply").exists()
+    monkeypatch.setitem(MOST_SIGMA_PIXELS, False, 0.0)
     finest = pictures(copy, tmp_path / "finest", "--host-memory", "16MiB")
     assert abs(finest - whole).max() <= 1 / 255
     assert "of " + f"{merged.count:,} gaussians drawn" in capsys.readouterr().out
     monkeypatch.setitem(MOST_SIGMA_PIXELS, False, 1e6)
-    far = pictures(copy, tmp_path / "far", "--lod")
+    far = pictures(copy, tmp_path / "far")
     assert 0.003 < abs(far - whole).mean() < 0.1
     command("film", copy.path, "-o", tmp_path / "film", "--seconds", "0.1", "--fps", "20", "--size",
-            "64x48", "--lod", "--device", DEVICE)
+            "64x48", "--device", DEVICE)
     assert len(list((tmp_path / "film").iterdir())) == 2
     command("merge", copy.path, "--device", DEVICE)  # of other blocks perhaps
     assert not (copy.path / "point_cloud.tree").exists()
-    command("render", copy.path, "-o", tmp_path / "none", "--host-memory", "1GiB", code=2)
-    assert "--host-memory: has no effect without --lod" in capsys.readouterr().err
-    command("film", copy.path, "-o", tmp_path / "none", "--lod", code=2)
-    assert "point_cloud.tree: no such file" in capsys.readouterr().err
     command("merge", copy.path, "--tree", "--against", copy.coarse, code=2)
     assert "--against: has no effect with --tree" in capsys.readouterr().err
 

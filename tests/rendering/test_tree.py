@@ -11,15 +11,16 @@ from clsplat.edit.select import selected
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.tree import ORDER, Tree, writing_tree
 from clsplat.rendering.pipeline import Renderer
-from clsplat.rendering.tree import TreeRenderer
+from clsplat.rendering.tree import MOST_SIGMA_PIXELS, TreeRenderer
 from tests.city.test_tree import strip
 from tests.data.made_tree import write_tree
 from tests.kernels.chain import camera_of, size_of, stored_degree
 from tests.rendering.test_slabs import downloaded, faint, same_to_rounding
 
 
-def test_the_finest_nodes_are_drawn_as_the_model(float_device, tmp_path):
+def test_the_finest_nodes_are_drawn_as_the_model(float_device, tmp_path, monkeypatch):
     """In one piece to the same bytes, given the rows in the same order; in slabs to rounding."""
+    monkeypatch.setitem(MOST_SIGMA_PIXELS, False, 0.0)
     case = faint("plain")
     degree = stored_degree(case)
     write_tree(tmp_path / "tree", iter([Gaussians(case["rows"], degree)]), degree, np.zeros(3), 16)
@@ -33,7 +34,7 @@ def test_the_finest_nodes_are_drawn_as_the_model(float_device, tmp_path):
     whole = downloaded(renderer.render(rows, renderer.pack(camera), *size, degree, True))
     for limit in (None, 17):
         streamed = TreeRenderer(float_device, tree, case["near"], False, case["background"],
-                                finest=True, limit=limit)
+                                limit=limit)
         frames = [streamed.render(tree, streamed.pack(camera), *size, degree, True)
                   for _ in range(2)]
         assert np.array_equal(*(frame.image.download() for frame in frames))
@@ -51,7 +52,7 @@ from pathlib import Path
 from clsplat.camera import Camera
 from clsplat.device import choose_device
 from clsplat.io.models.tree import Tree
-from clsplat.rendering.tree import TreeRenderer
+from clsplat.rendering.tree import MOST_SIGMA_PIXELS, TreeRenderer
 
 def resident(name):
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
@@ -59,11 +60,12 @@ def resident(name):
 
 camera = Camera.looking_at((50, 0.5, 0.5), (50, -60, 40), width=96, height=64)
 device = choose_device("Portable")
+MOST_SIGMA_PIXELS[False] = 0.0  # the leaves
 for path in sys.argv[1:]:  # the first compiles the kernels
     before = resident("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak so far is forgotten
     tree = Tree(path)
-    renderer = TreeRenderer(device, tree, 0.1, finest=True, host_bytes=16 << 20)
+    renderer = TreeRenderer(device, tree, 0.1, host_bytes=16 << 20)
     renderer.render(tree, camera, 96, 64, 1)
     assert renderer.drawn > 0.9 * tree.count
 print(resident("VmHWM") - before)

@@ -33,7 +33,7 @@ from clsplat.io.models.values import (
     stored_rows,
 )
 from clsplat.io.photos.images import encode_image
-from clsplat.io.photos.photo import reason_of, temporary_file
+from clsplat.io.photos.photo import opened
 from clsplat.io.records import object_of
 from clsplat.io.unpack import check_expansion, check_rows, opened_archive
 
@@ -122,7 +122,7 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
         degree = meta.get(HARMONICS, {}).get("bands", 0)
         check_rows(sum(map(len, contents)), count, BANDS[degree])
         lower, upper, scales, quaternions, colours = (
-            _pixels(decode_webp(content), count) for content in contents)
+            _pixels(_decoded(content), count) for content in contents)
         low, high = (np.array(meta[MEANS][end], np.float64) for end in ("mins", "maxs"))
         logarithms = low + (high - low) * ((lower[:, :3] + 256.0 * upper[:, :3]) / LARGEST_STEP)
         tag = quaternions[:, 3].astype(int) - FIRST_TAG
@@ -173,7 +173,7 @@ def _read_harmonics(meta: dict[str, Any], read: Callable[[str], bytes], count: i
         return np.zeros((count, 0, 3))
     part = meta[HARMONICS]
     bands = BANDS[part["bands"]]
-    pixels, labels = (decode_webp(read(name)) for name in _files(meta, HARMONICS, 2))
+    pixels, labels = (_decoded(read(name)) for name in _files(meta, HARMONICS, 2))
     if pixels.shape[1] != PALETTE_COLUMNS * bands:
         raise ValueError(f"its palette is {pixels.shape[1]} pixels wide")
     numbers = _pixels(labels, count)
@@ -263,26 +263,15 @@ def encode_webp(pixels: NDArray[np.uint8]) -> bytes:
         "compression": "lossless:50", "webp:method": 3, "oiio:UnassociatedAlpha": 1})
 
 
-def decode_webp(data: bytes) -> NDArray[np.uint8]:
-    """The pixels uint8[H, W, 4] of a WebP file; ValueError if it is damaged or too large."""
-    import OpenImageIO as oiio
-
-    config = oiio.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)  # as stored, not multiplied by the last channel
-    with temporary_file(data) as path:
-        image = oiio.ImageInput.open(path, config)
-        reason = reason_of(oiio)
-        if image is None or image.format_name() != "webp":
-            raise ValueError(f"a texture is no WebP {reason}")
-        try:
-            spec = image.spec()
-            check_expansion(len(data), spec.width * spec.height * 4)
-            pixels = image.read_image("uint8")
-            reason = reason_of(image)
-        finally:
-            image.close()
-    if pixels is None or reason:
-        raise ValueError(f"a texture is damaged: {reason}")
-    if pixels.shape[2] == 3:  # an encoder may leave out a last channel of 255
-        pixels = np.concatenate([pixels, np.full((*pixels.shape[:2], 1), 255, np.uint8)], axis=2)
-    return pixels
+def _decoded(data: bytes) -> NDArray[np.uint8]:
+    """The pixels uint8[H, W, 4] of a texture, as stored; ValueError if it is damaged or too large.
+    """
+    try:
+        with opened(data) as image:
+            check_expansion(len(data), image.width * image.height * 4)
+            colours = np.concatenate(list(image.bands(0, image.height)))
+            # an encoder may leave out a last channel of 255
+            last = image.alpha() if image.has_alpha else np.full(colours.shape[:2], 255, np.uint8)
+    except InputError as error:  # it does not name the file
+        raise ValueError(f"a texture is damaged: {error}") from None
+    return np.dstack([colours, last])
