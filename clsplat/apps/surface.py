@@ -88,10 +88,10 @@ def contour_interval(heights: Heights) -> float:
     low, high = np.quantile(known, USUAL) if len(known) else (0.0, 0.0)
     if not high > low:
         return 0.0
-    wanted = math.log10((high - low) / LINES)
-    candidates = [math.log10(factor) + math.floor(wanted) + power
-                  for factor in (1, 2, 5) for power in (0, 1)]
-    return float(f"{10 ** min(candidates, key=lambda each: abs(each - wanted)):.1g}")
+    wanted = (high - low) / LINES
+    power = 10 ** math.floor(math.log10(wanted))
+    nearest = min((1, 2, 5, 10), key=lambda factor: abs(math.log(factor * power / wanted)))
+    return float(f"{nearest * power:.1g}")
 
 
 def contour_lines(heights: Heights, interval: float) -> list[ContourLine]:

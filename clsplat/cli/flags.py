@@ -32,6 +32,7 @@ SHOW_ALL = "clsplat.help_all"  # in a context's `meta` if its help lists every o
 LEAST_HOST_BYTES = 16 << 20
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
 OTHERS = "clsplat.others"  # in a context's `meta`: the `Others` that are named
+OTHER_FLAGS = "clsplat.other_flags"  # and their flags
 NAMES = {int: "INTEGER", float: "FLOAT", str: "TEXT"}
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -194,7 +195,7 @@ def flags_of(kind: type, every: bool = False) -> Callable[[Command], Command]:
 class TrainingCommand(SectionedCommand):
     """A command with `training_flags`, and those of schedules of other packages.
 
-    Code of others is loaded only for the schedules that the arguments name, or for --help-all.
+    Code of others is loaded only for the schedules and parts that the arguments name.
     """
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -207,13 +208,7 @@ class TrainingCommand(SectionedCommand):
             if name in {option.name for option in options_of(TrainOptions)}:
                 raise InputError(f"{error.option_name}: is a key of the file of --config and no "
                                  f"flag; write {name} = VALUE there") from None
-            ways = [*([f"--schedule {' or '.join(others())}"] if others() else []),
-                    *([f"add_parts of {' or '.join(PARTS.others)} in the file of --config"]
-                      if PARTS.others else [])]
-            if not ways or ctx.meta[OTHERS] != Others():
-                raise
-            raise click.UsageError(f"{error.format_message()} The flags of another package need "
-                                   f"{', or '.join(ways)}.", ctx) from None
+            raise
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the sections; --help-all ends with the keys that are no flags."""
@@ -226,15 +221,14 @@ class TrainingCommand(SectionedCommand):
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """The parameters of the command; the same objects in each call."""
-        every = SHOW_ALL in ctx.meta
-        if (key := f"{OTHERS}.{every}") not in ctx.meta:
-            named = _loading_others() if every else ctx.meta.get(OTHERS, Others())
+        if OTHER_FLAGS not in ctx.meta:
+            named = ctx.meta.get(OTHERS, Others())
             kind = options_with(*named.schedules, parts=named.parts)
             own = {option.name for option in options_of(TrainOptions)}
-            ctx.meta[key] = [SectionedOption(names, **settings) for names, settings in (
+            ctx.meta[OTHER_FLAGS] = [SectionedOption(names, **settings) for names, settings in (
                 _flag(option) for option in options_of(kind)
                 if option.metadata["flag"] and option.name not in own)]
-        return [*ctx.meta[key], *super().get_params(ctx)]
+        return [*ctx.meta[OTHER_FLAGS], *super().get_params(ctx)]
 
 
 class Others(NamedTuple):
@@ -259,19 +253,6 @@ def _others_named(args: list[str]) -> Others:
     return Others(tuple(name for name in schedules
                         if isinstance(name, str) and name not in OURS and name in others()),
                   tuple(name for name in parts if isinstance(name, str) and name in PARTS.others))
-
-
-def _loading_others() -> Others:
-    """Those of all other packages; the ones that do not load are named, and left out."""
-    loading = Others()
-    for found in (*(Others((name,)) for name in others()),
-                  *(Others((), (name,)) for name in PARTS.others)):
-        try:
-            options_with(*found.schedules, parts=found.parts)
-            loading = Others(loading.schedules + found.schedules, loading.parts + found.parts)
-        except InputError as error:
-            click.echo(f"warning: {error}", err=True)
-    return loading
 
 
 def training_flags(command: Command, every: bool = False) -> Command:

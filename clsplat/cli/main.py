@@ -10,7 +10,6 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 import click
-from click.shell_completion import get_completion_class
 
 from clsplat import __version__
 from clsplat.cli.bench import bench
@@ -130,26 +129,11 @@ def main(ctx: click.Context) -> None:
         click.echo(ctx.get_help())
 
 
-@click.command()
-@click.argument("shell", type=click.Choice(("bash", "zsh", "fish")))
-@click.pass_context
-def completion(ctx: click.Context, shell: str) -> None:
-    """Print a script for completion of commands in a SHELL.
-
-    For bash: `clsplat completion bash >> ~/.bashrc`; zsh: the same with ~/.zshrc; fish:
-    `clsplat completion fish > ~/.config/fish/completions/clsplat.fish`.
-    """
-    completion_class = get_completion_class(shell)
-    assert completion_class is not None  # click knows every shell of the choice
-    command = ctx.find_root().command
-    click.echo(completion_class(command, {}, "clsplat", "_CLSPLAT_COMPLETE").source())
-
-
 main.add_section("Train", plan, train, evaluate, compare)
 main.add_section("Results", render, view, export, edit, map_command, film)
 main.add_section("Large scenes", city, partition_command, block, merge)
 main.add_section("Data", sfm, georeference, pack)
-main.add_section("Machine", devices, bench, completion)
+main.add_section("Machine", devices, bench)
 
 # `Reporting` finds the flag in the arguments; as an option it is in the help and allowed anywhere
 for _command in (main, *main.commands.values()):

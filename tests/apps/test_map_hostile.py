@@ -20,11 +20,10 @@ COMPOUND = "EPSG:32633+5773"
 MIDDLE = made.OFFSET + made.UTM.offset
 NEAR = tuple(str(side) for side in (MIDDLE[0] - 4, MIDDLE[1] - 4, MIDDLE[0] + 4, MIDDLE[1] + 4))
 REFUSED = [
-    (["--resolution", "100km"], "larger than the map"),
-    (["--resolution", "1e-300mm"], "pixels along a side"),
-    (["--resolution", "0"], "size of a pixel"),
-    (["--resolution", "nan"], "not a length"),
-    (["--resolution", "5 cm cm"], "not a length"),
+    (["--resolution", "1e5"], "larger than the map"),
+    (["--resolution", "1e-300"], "pixels along a side"),
+    (["--resolution", "0"], "range"),
+    (["--resolution", "nan"], "not a finite number"),
     (["--bounds", "nan", "0", "1", "1"], "--bounds"),
     (["--bounds", "0", "5", "1", "1"], "--bounds"),
     (["--bounds", "-1e300", "-1e300", "1e300", "1e300"], "pixels along a side"),
@@ -59,7 +58,7 @@ def test_refused_in_one_line(mapped, words, message):
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [
     ["--fill", "50"], ["--contours", "0"], ["--bounds", *NEAR],
-    ["--resolution", "20m"]], ids=" ".join)
+    ["--resolution", "20"]], ids=" ".join)
 def test_drawn(mapped, words):
     size = [] if "--resolution" in words else ["--resolution", "0.5"]
     folder, result = mapped([*words, *size])

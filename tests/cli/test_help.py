@@ -22,7 +22,7 @@ def test_help_lists_every_command_under_a_heading():
     for heading in ("Train:", "Data:", "Machine:"):
         assert f"\n{heading}\n" in result.output
     listed = result.output[result.output.index("\nTrain:"):].split()
-    for name in ("train", "eval", "render", "export", "pack", "devices", "bench", "completion"):
+    for name in ("train", "eval", "render", "export", "pack", "devices", "bench"):
         assert name in listed
     assert clsplat_().output == result.output
 
