@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.evaluation.survey import ground_samples
-from clsplat.partition.input import ground_axes
+from clsplat.partition.region import ground_axes
 from clsplat.partition.region import map_axes as horizontal_axes
 from clsplat.scene import Scene
 

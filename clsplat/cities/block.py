@@ -108,16 +108,9 @@ class BlockTraining:
         `patience` : seconds to wait for another process that trains the block.
 
         Returns "finished", "was finished before", at which exchange it stops, or for which blocks
-        it waits. InputError for a run that was begun with other options, or an exchange that there
-        is not.
+        it waits. InputError for a run that was begun with other options.
         """
         block, run, exchanges = self.block, self.folder, [] if alone else self.block.exchanges
-        if until > len(exchanges):
-            raise InputError(f"{block.path}: there is no exchange {until}, as the block exchanges "
-                             f"gaussians {len(exchanges)} times; give a smaller number, or none")
-        if run.is_finished:  # checked before locking: the disk may be read-only
-            self._check_same()
-            return BEFORE
         with run.locked(patience):
             if run.is_begun:
                 self._check_same()

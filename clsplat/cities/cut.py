@@ -22,10 +22,9 @@ from clsplat.io.models.values import to_bytes
 from clsplat.io.runs.city import DENSE, EXCHANGES, OTHERS, PARTITION, CityFolder
 from clsplat.loss.image_loss import image_loss, loss_value
 from clsplat.partition.blocks import block_start, filled, find_windows, owned_shares
-from clsplat.partition.input import world_of
 from clsplat.partition.make import make_partition
 from clsplat.partition.options import BLOCK_STEPS, PartitionOptions
-from clsplat.partition.region import Partition
+from clsplat.partition.region import Partition, world_of
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Rows
 from clsplat.report.figures.map import write_map

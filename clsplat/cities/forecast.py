@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from clsplat.device import Device
-from clsplat.estimate.forecast import Forecast, Planned, fitted
+from clsplat.estimate.forecast import Forecast, Planned
 from clsplat.gaussians import LEARNED
 from clsplat.io.scenes.options import SceneOptions
 from clsplat.options import ScheduledOptions
@@ -46,46 +46,34 @@ def gaussians_that_fit(device: Device, options: RenderingOptions) -> int:
 
 
 def scale_table(planned: Planned, forecast: Forecast, device: Device, photos: Iterable[int],
-                size: tuple[int, int] | None = None, workers: int = 1) -> Table:
+                workers: int = 1) -> Table:
     """The cost of cities with more photos like those of a planned scene, a row for each number.
 
     Everything grows with the number of photos, but a block is as large as the device allows, or
-    smaller where there are more devices. With the size of a photo grow the gaussians that it
-    shows, and what a step takes but for its fixed part.
-
-    Parameters
-    ----------
-    planned, forecast, device : of the scene, which is taken as typical.
-    photos : numbers of photos.
-    size : width and height of the photos; None: those of the scene.
-    workers : devices that train blocks at the same time.
+    smaller where there are more devices: `workers`, that train blocks at the same time.
     """
     views, options = planned.prepared.train_views, planned.prepared.options
     area = sum(view.camera.width * view.camera.height for view in views) / len(views)
-    larger = 1.0 if size is None else size[0] * size[1] / area
-    fixed = fitted(forecast.measured)[0] * forecast.steps if size else 0.0
-    once = fixed + larger * (forecast.seconds - fixed)  # all steps of the scene
     limit, shared = gaussians_that_fit(device, options), (1 + 2 * PartitionOptions().margin) ** 2
     rows = []
     for count in photos:
         share = count / len(views)
-        gaussians = int(forecast.gaussians * share * larger)
+        gaussians = int(forecast.gaussians * share)
         whole = gaussians <= limit and workers == 1
         times, visits = (1, 1) if whole else (shared, BLOCK_STEPS)  # blocks that train a gaussian
         blocks = max(-(-int(gaussians * times) // limit), workers)
-        coarse = 0.0 if whole else COARSE_COST * once * share
-        trained = once * share * visits
+        coarse = 0.0 if whole else COARSE_COST * forecast.seconds * share
+        trained = forecast.seconds * share * visits
         elapsed = coarse + trained / blocks * -(-blocks // workers)
         rows.append((f"{count:,}", f"{blocks:,}", f"{count * times / blocks:,.0f}",
                      f"{options.iterations * share * visits / blocks:,.0f}", f"{gaussians:,}",
                      f"{gaussians * PLY_BYTES / GIB:,.1f}",
-                     f"{3 * larger * area * count / GIB:,.1f}",
+                     f"{3 * area * count / GIB:,.1f}",
                      f"{(trained + coarse) / 3600:,.2f}", f"{elapsed / 3600:,.2f}"))
     head = ("photos", "blocks", "photos a block", "steps a block", "gaussians", "model, GiB",
             "pixels, GiB", "device hours", f"hours on {workers}")
-    of_size = f" of {size[0]}x{size[1]}" if size else ""
     return Table("At scale", head, rows, range(9), (
-        f"For photos like these{of_size}, on {device.name}, in as few blocks as fit it and at "
+        f"For photos like these, on {device.name}, in as few blocks as fit it and at "
         f"least one a device, which take {BLOCK_STEPS:g} times the steps of one run together. "
         "The coarse run is on one device.",))
 
@@ -103,7 +91,7 @@ def trains_jointly(facts: SceneFacts, photos: int, options: ScheduledOptions) ->
 
 def one_block_note(options: PartitionOptions, scene: Path) -> str:
     """That a scene which fits the device in one block needs no city; empty for others."""
-    if options.grid or options.several:
+    if options.grid or options.blocks > 1:
         return ""
     return (f"this device holds the whole model in one block: `clsplat train {scene}` trains it in "
             "one stage, which is quicker and as good; --grid cuts it all the same")

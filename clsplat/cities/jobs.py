@@ -92,19 +92,12 @@ def _own_kernel_cache() -> Path:
     """
     stack = ExitStack()
     multiprocessing.util.Finalize(None, stack.close, exitpriority=0)
-    with suppress(OSError, RuntimeError):  # of another user, full, or the home folder is unknown
-        chosen = os.environ.get("POCL_CACHE_DIR")
-        base = Path(chosen) if chosen else Path.home() / ".cache" / "clsplat" / "kernels"
-        base = base / socket.gethostname()
-        base.mkdir(parents=True, exist_ok=True)
+    with suppress(OSError, RuntimeError, InputError):  # full, of another user, or no home folder
+        base = Path(os.environ.get("POCL_CACHE_DIR") or Path.home() / ".cache/clsplat/kernels")
         for number in count():
-            folder = base / str(number)
-            folder.mkdir(exist_ok=True)
-            try:
+            folder = base / socket.gethostname() / str(number)
+            folder.mkdir(parents=True, exist_ok=True)
+            with suppress(LockTaken):
                 stack.enter_context(exclusive(folder))
                 return folder
-            except LockTaken:
-                pass
-            except InputError:
-                break
     return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="clsplat-kernels-")))

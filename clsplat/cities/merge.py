@@ -43,8 +43,7 @@ from clsplat.io.runs.city import PARTITION, BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint
 from clsplat.options import TrainOptions, of_file, resolve
-from clsplat.partition.input import world_of
-from clsplat.partition.region import Partition
+from clsplat.partition.region import Partition, world_of
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
 from clsplat.training.loop import resume, train, trained_on

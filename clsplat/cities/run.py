@@ -167,5 +167,5 @@ def chosen_partition(given: Mapping[str, Any], city: City, workers: int | None =
                       (os.cpu_count() or 1) // CORES_SHARING,
                       int(fit / 2 / (chosen.trained / chosen.blocks)))
         chosen = replace(chosen, workers=devices * max(1, sharing))
-    return chosen.decided(not (recorded or tree) and chosen.several and expected <= fit
+    return chosen.decided(not (recorded or tree) and chosen.blocks > 1 and expected <= fit
                           and trains_jointly(facts, photos, options))

@@ -13,8 +13,7 @@ import click
 
 from clsplat import __version__
 from clsplat.cli.bench import bench
-from clsplat.cli.block import block
-from clsplat.cli.city import city, merge, partition_command
+from clsplat.cli.city import block, city, merge, partition_command
 from clsplat.cli.compare import compare
 from clsplat.cli.devices import devices
 from clsplat.cli.edit import edit

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,6 @@ from clsplat.cli.flags import (
     TrainingCommand,
     config_options,
     given_options,
-    size_type,
     training_flags,
 )
 from clsplat.errors import InputError
@@ -24,22 +22,19 @@ if TYPE_CHECKING:
 
 MIB = 2**20
 NAME_WIDTH = 12  # characters
-BUSY_LOAD = 0.5  # processes per core that run or wait
-MOST_PHOTOS, MOST_SIDE = 10**9, 10**6
+MOST_PHOTOS = 10**9
 
 
 @click.command(cls=TrainingCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("--photos", default="", help="Also forecast cities with these numbers of photos "
               "like those of SCENE, such as 1000,10000,100000.")
-@click.option("--photo-size", type=size_type(MOST_SIDE), help="With --photos: width and height of "
-              "those photos, such as 1152x864; default: as in SCENE.")
 @click.option("--workers", type=click.IntRange(1, MOST_PHOTOS), default=1, show_default=True,
               help="With --photos: number of devices.")
 @training_flags
 @click.pass_context
-def plan(ctx: click.Context, /, scene: Path, photos: str, photo_size: tuple[int, int] | None,
-         workers: int, **_options: object) -> None:
+def plan(ctx: click.Context, /, scene: Path, photos: str, workers: int, **_options: object
+         ) -> None:
     """Forecast the decisions, memory and time of a training.
 
     Takes the options of `clsplat train`. Prints a line for each part of the training that can be
@@ -53,7 +48,7 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, photo_size: tuple[int,
     from clsplat.options import resolve
     from clsplat.training.photos import size_note
     options = resolve(config_options(ctx), given_options(ctx))
-    counts, busy, progress = _numbers(photos), load(), Progress()
+    counts, progress = _numbers(photos), Progress()
     with progress:
         progress.phase("reading the scene")
         data = read_scene(scene, options.images)
@@ -70,11 +65,10 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, photo_size: tuple[int,
         forecast = planned.forecast()
     _line("photos", forecast.streaming.reason)
     _line("memory", _memory(forecast, device))
-    _line("time", _time(forecast, busy))
+    _line("time", _time(forecast))
     if counts:
         from clsplat.cities.forecast import scale_table
-        table = scale_table(planned, forecast, device, counts, photo_size, workers)
-        click.echo(f"\n{table.text()}")
+        click.echo(f"\n{scale_table(planned, forecast, device, counts, workers).text()}")
 
 
 def _numbers(text: str) -> list[int]:
@@ -86,18 +80,6 @@ def _numbers(text: str) -> list[int]:
         raise InputError(f"--photos {text[:80]}: expects whole numbers from 1 to {MOST_PHOTOS:,}, "
                          "such as 1000,10000,100000") from None
     return numbers
-
-
-def load() -> tuple[float, int] | None:
-    """(processes that run or wait, cores) if other processes keep the machine busy, else None.
-
-    The number of processes is the average of the last minute; None too where it is not known.
-    """
-    try:
-        average, cores = os.getloadavg()[0], os.cpu_count() or 1
-    except (AttributeError, OSError):  # Windows has none
-        return None
-    return (average, cores) if average > BUSY_LOAD * cores else None
 
 
 def _line(name: str, text: str) -> None:
@@ -112,23 +94,9 @@ def _memory(forecast: Forecast, device: Device) -> str:
     return text if memory.total < available else f"{text}; does not fit: use --max-gaussians or -r"
 
 
-def _time(forecast: Forecast, load: tuple[float, int] | None) -> str:
+def _time(forecast: Forecast) -> str:
+    from clsplat.cli.progress import clock
     (_, _, begin), (level, gaussians, end) = forecast.ends
-    text = (f"about {duration(forecast.seconds)} for {forecast.steps:,} steps: a step takes "
+    return (f"about {clock(forecast.seconds)} for {forecast.steps:,} steps: a step takes "
             f"{1e3 * begin:.1f} ms at first, and {1e3 * end:.1f} ms at the end, with photos at "
             f"{size_at(level)} and {gaussians:,} gaussians")
-    if load:
-        text += (f"; this machine is busy (load {load[0]:.1f} on {load[1]} cores), so this is an "
-                 "upper estimate")
-    return text
-
-
-def duration(seconds: float) -> str:
-    """A duration for people, such as 45 s, 12 min 05 s, 6 h 37 min."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    minutes = round(whole / 60)
-    return f"{minutes // 60:,} h {minutes % 60:02d} min"

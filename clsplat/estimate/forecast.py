@@ -101,7 +101,6 @@ class Forecast:
     seconds : time of training.
     ends : (level, gaussians, seconds per step) at the beginning and at the end of the run.
     streaming : whether photos stay on the device.
-    measured : [(pixels, gaussians, seconds), ...] of the steps on which the times rest.
     """
 
     steps: int
@@ -110,7 +109,6 @@ class Forecast:
     seconds: float
     ends: list[tuple[float, int, float]]
     streaming: Decision
-    measured: list[TimedStep]
 
 
 class Planned:
@@ -158,8 +156,7 @@ class Planned:
             segments, seconds = self._segments(options, gaussians), budget
         memory = predicted_memory(self.device, prepared, gaussians, segments, trials)
         return Forecast(options.iterations, largest(segments), memory, seconds, ends,
-                        self._streaming(memory, len({segment.level for segment in segments})),
-                        measured)
+                        self._streaming(memory, len({segment.level for segment in segments})))
 
     def _segments(self, options: ScheduledOptions, gaussians: Gaussians) -> list[Segment]:
         """The simulated run."""

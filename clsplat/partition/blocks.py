@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from clsplat.camera import turned
 from clsplat.gaussians import Gaussians
-from clsplat.partition.input import world_of
+from clsplat.partition.region import world_of
 
 if TYPE_CHECKING:
     from clsplat.camera import Camera
@@ -55,8 +55,6 @@ class BlockStart:
     gaussians, indices : the model, and where its gaussians are among those of the whole, int[K].
     own, margin : in the block's cell, and in the margin around it.
     surroundings : farther away; the model holds them, frozen.
-    unseen, thinned : left out because no view of the block shows them, or because they are smaller
-        than a pixel, and others were enlarged instead.
     dense : added at dense points (`filled`); they are last in the model.
     """
 
@@ -65,8 +63,6 @@ class BlockStart:
     own: int
     margin: int
     surroundings: int
-    unseen: int
-    thinned: int
     dense: int = 0
 
 
@@ -94,9 +90,8 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     keeps = np.random.default_rng(0).random(len(size)) < size**2
     rows = {name: values[keeps] for name, values in gaussians.rows.items()}
     rows["log_scales"] = (rows["log_scales"] - np.log(size[keeps])[:, None]).astype(np.float32)
-    unseen, kept = int((size == 0).sum()), Gaussians(rows, gaussians.sh_degree)
-    return BlockStart(kept, np.flatnonzero(keeps), int(own.sum()), int((reached & ~own).sum()),
-                      int((keeps & rest).sum()), unseen, int((~keeps).sum()) - unseen)
+    return BlockStart(Gaussians(rows, gaussians.sh_degree), np.flatnonzero(keeps), int(own.sum()),
+                      int((reached & ~own).sum()), int((keeps & rest).sum()))
 
 
 def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, most: int = 0

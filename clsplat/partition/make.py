@@ -14,15 +14,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clsplat.covisibility.source_views import visibility
+from clsplat.errors import InputError
 from clsplat.partition.blocks import Clusters
-from clsplat.partition.input import CONTENT_QUANTILES, PartitionInput
-from clsplat.partition.region import Cells, Partition, Region, Space
+from clsplat.partition.region import (
+    CONTENT_QUANTILES,
+    Cells,
+    Partition,
+    Region,
+    Space,
+    ground_axes,
+    quantiles,
+    world_of,
+)
 
 if TYPE_CHECKING:
     from clsplat.gaussians import Gaussians
     from clsplat.partition.options import PartitionOptions
     from clsplat.scene import Scene
 
+LEAST_HALF_SIDE = 0.02  # of the longest half side of an area of interest
 # of citygs
 TESTED_GAUSSIANS = 25_000  # a cell with fewer, and fewer than an equal share, is enlarged to test
 GROWTH_STEP = 0.01  # of contracted space, by which such a cell is enlarged
@@ -39,6 +50,71 @@ LEAST_OF_CELL = 0.1  # share of a cell's points above which a view is assigned t
 # the view with this index in scene.views
 DropTest = Callable[[Iterable[tuple[int, NDArray[np.bool_]]]], Iterable[float]]
 Cut = tuple[list[Region], NDArray[np.bool_]]  # cells, and bool[B, V]: which views each is assigned
+
+
+class _Input:
+    """What the partition methods work on, in world coordinates; arguments as for `make_partition`.
+
+    Attributes
+    ----------
+    scene, views : the whole scene, and [V]: indices into scene.views of the training views.
+    cameras : [V, 3]; the positions of these views.
+    content, weights : [M, 3]; the points or gaussians that are divided among the blocks, and how
+        much each counts, [M]; of sparse points the number of views that see it.
+    points : [P, 3]; the sparse points.
+    observed_points, observed_views : [S]; the pairs (point, index into `views`) in which a view
+        sees a point.
+    rotation : [3, 3]; rows u, v (along the ground) and up.
+    """
+
+    def __init__(self, scene: Scene, gaussians: Gaussians | None, views: ArrayLike | None,
+                 up: Sequence[float] | None, weights: NDArray[np.float64] | None) -> None:
+        self.scene = scene
+        self.views = np.arange(len(scene.views)) if views is None else np.asarray(views)
+        chosen = [scene.views[index] for index in self.views]
+        local, self.observed_points, self.observed_views = visibility(scene, chosen)
+        self.points = world_of(scene, local)
+        self.cameras = world_of(scene, [view.camera.position for view in chosen])
+        if gaussians is None:
+            self.content = self.points
+            self.weights = np.bincount(self.observed_points, minlength=len(self.points)).astype(
+                float)
+        else:
+            self.content = world_of(scene, gaussians.positions)
+            self.weights = np.isfinite(self.content).all(axis=1).astype(float)
+            if weights is not None:
+                self.weights *= weights
+        if not self.weights.any():
+            raise InputError(f"{scene.name}: there is nothing to divide among blocks, since no "
+                             "training view sees a point; reconstruct the scene again, or train a "
+                             "coarse model first")
+        self.rotation = ground_axes(scene.up if up is None else np.array(up) / np.linalg.norm(up),
+                                    self.content, self.weights)
+
+    def content_box(self, shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,)
+                    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The low [3] and high [3] corner, along u, v and up in world units, of what is divided.
+
+        Along u and v these are the quantiles `shares` of the content. Along up the box contains all
+        content but outliers, and all cameras.
+        """
+        along = self.content @ self.rotation.T
+        up = np.concatenate([quantiles(along[:, 2], self.weights, CONTENT_QUANTILES),
+                             self.cameras @ self.rotation[2]])
+        low, high = np.transpose([quantiles(along[:, axis], self.weights, share)
+                                  for axis, share in enumerate(shares)])
+        return np.array([*low, up.min()]), np.array([*high, up.max()])
+
+    def space(self, contracted: bool = False,
+              shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,),
+              stretch: Sequence[float] = (1.0, 1.0)) -> Space:
+        """The Space whose area of interest is `content_box(shares)`, with its sides along u and v
+        multiplied by `stretch` [2]."""
+        low, high = self.content_box(shares)
+        half = (high - low) / 2
+        half[:2] *= stretch
+        half = np.maximum(half, LEAST_HALF_SIDE * max(half.max(), np.finfo(float).tiny))
+        return Space(self.rotation, (low + high) / 2 @ self.rotation, half, contracted)
 
 
 def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians | None = None,
@@ -58,7 +134,7 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
     ------
     InputError : no view sees any point.
     """
-    data = PartitionInput.of(scene, gaussians, views, options.up, weights)
+    data = _Input(scene, gaussians, views, options.up, weights)
     low, high = data.content_box()
     side = np.maximum((high - low)[:2], np.finfo(float).tiny)
     grid = options.grid or choose_grid(options.needed, side[0] / side[1])
@@ -85,7 +161,7 @@ def choose_grid(needed: int, aspect: float) -> tuple[int, int]:
     return min(shapes, key=cost)
 
 
-def _dropped(data: PartitionInput, regions: list[Region], assigned: NDArray[np.bool_]
+def _dropped(data: _Input, regions: list[Region], assigned: NDArray[np.bool_]
              ) -> dict[int, str]:
     """For each view that is assigned to no block, by its index, the reason."""
     owner = Cells(regions).at(regions[0].space.to(data.points))
@@ -99,7 +175,7 @@ def _dropped(data: PartitionInput, regions: list[Region], assigned: NDArray[np.b
     return reasons
 
 
-def _join_starved(data: PartitionInput, options: PartitionOptions, regions: Sequence[Region],
+def _join_starved(data: _Input, options: PartitionOptions, regions: Sequence[Region],
                   assigned: NDArray[np.bool_]) -> Cut:
     """Join blocks with too few gaussians or views one by one, those with the least content first.
 
@@ -141,7 +217,7 @@ def _union(a: Region, b: Region) -> Region | None:
     return replace(a, low=np.minimum(a.low, b.low), high=np.maximum(a.high, b.high))
 
 
-def _citygs(data: PartitionInput, grid: tuple[int, int], options: PartitionOptions,
+def _citygs(data: _Input, grid: tuple[int, int], options: PartitionOptions,
             drop: DropTest | None) -> Cut:
     """Cut the scene into the cells of a uniform N x M grid along u and v, row by row.
 
@@ -173,7 +249,7 @@ def _citygs(data: PartitionInput, grid: tuple[int, int], options: PartitionOptio
     return regions, assigned
 
 
-def _contracted(data: PartitionInput, grid: tuple[int, int]) -> Space:
+def _contracted(data: _Input, grid: tuple[int, int]) -> Space:
     """The contracted space of the grid, in which each of the outermost cells contains 1/N of the
     content, since cells of equal size in contracted space differ in content.
 
@@ -199,7 +275,7 @@ def _tested(regions: Sequence[Region], content: NDArray[np.float64]) -> list[Reg
     return tested
 
 
-def _visible_cells(data: PartitionInput, owner: NDArray[np.integer]
+def _visible_cells(data: _Input, owner: NDArray[np.integer]
                    ) -> Iterator[NDArray[np.integer]]:
     """For each view, the cells that have content in its image or close beside it; `owner` : [M],
     the cell of each content, -1 for none."""
@@ -216,7 +292,7 @@ def _visible_cells(data: PartitionInput, owner: NDArray[np.integer]
         yield np.flatnonzero(np.bincount(owner[near[shown]] + 1)[1:])
 
 
-def _blockgs(data: PartitionInput, blocks: int, margin: float) -> Cut:
+def _blockgs(data: _Input, blocks: int, margin: float) -> Cut:
     """Cut the scene into cells, each cut from a larger one across its longer side.
 
     A cell for k blocks is cut so that its parts contain content in the ratio of k // 2 to
@@ -273,7 +349,7 @@ def _bisected(region: Region, coordinates: NDArray[np.float64], weights: NDArray
             + _bisected(upper, coordinates[~below], weights[~below], count - count // 2))
 
 
-def _seen_by_tracks(data: PartitionInput, regions: Sequence[Region]) -> NDArray[np.bool_]:
+def _seen_by_tracks(data: _Input, regions: Sequence[Region]) -> NDArray[np.bool_]:
     """Which views see each region, as bool[B, V] (SunshineWYC, BlockGaussian 2025).
 
     A view sees a region if more than 0.3 of the view's points lie in the region, or if more than

@@ -85,23 +85,14 @@ class PartitionOptions:
             value = getattr(self, known.name)
             if value is not known.default:
                 object.__setattr__(self, known.name, check_flag(known, value))
-        if self.grid is None and self.needed > MOST_BLOCKS:
-            raise InputError(f"--block-gaussians {self.block_gaussians}: makes {self.needed:,} "
-                             f"blocks, more than {MOST_BLOCKS:,}; allow more gaussians in a block")
-        if self.grid is not None:
-            self._check_grid(self.blocks, f"--grid {self.grid[0]}x{self.grid[1]}")
-
-    def _check_grid(self, count: int, name: str) -> None:
-        """Raise InputError for more blocks than the scene will have gaussians for."""
-        if count > MOST_BLOCKS:
-            raise InputError(f"{name}: makes {count:,} blocks, more than {MOST_BLOCKS:,}; use a "
-                             "smaller --grid")
-        most = self.most_blocks
-        if count > most:
-            raise InputError(
-                f"{name}: makes {count:,} blocks, but the scene will have about "
-                f"{self.expected:,} gaussians, enough for {most:,} blocks of at least "
-                f"{self.least_gaussians}; use a smaller --grid")
+        most = MOST_BLOCKS  # fewer where it is known for how many there are gaussians
+        if self.grid and self.expected:
+            most = min(most, max(1, self.expected // max(1, self.least_gaussians)))
+        if self.blocks > most:
+            given = (f"--grid {self.grid[0]}x{self.grid[1]}" if self.grid else
+                     f"--block-gaussians {self.block_gaussians}")
+            raise InputError(f"{given}: makes {self.blocks:,} blocks of about {self.expected:,} "
+                             f"gaussians, more than {most:,}; make fewer and larger blocks")
 
     def decided(self, joint: bool = False) -> "PartitionOptions":
         """The options with a number in place of each `auto` that concerns steps; `joint` : whether
@@ -115,17 +106,6 @@ class PartitionOptions:
             exchanges=int(number(self.exchanges, 0 if steps else EXCHANGES)),
             block_steps=number(self.block_steps,
                                BLOCK_STEPS_BEFORE_JOINT if steps else BLOCK_STEPS))
-
-    @property
-    def most_blocks(self) -> int:
-        """How many blocks the scene has gaussians for."""
-        most = max(1, self.expected // max(1, self.least_gaussians))
-        return min(most, MOST_BLOCKS) if self.expected else MOST_BLOCKS
-
-    @property
-    def several(self) -> bool:
-        """Whether there will be more than one block."""
-        return self.blocks > 1
 
     @property
     def blocks(self) -> int:

@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsplat.camera import turned
 
+if TYPE_CHECKING:
+    from clsplat.scene import Scene
+
+CONTENT_QUANTILES = (0.01, 0.99)  # content beyond these counts as outliers
+ANGLE_STEPS = 90  # rectangles that are tried over a quarter turn
+MOST_TRIED = 50_000  # content points that the rectangles are tried on
+RECTANGLE_QUANTILES = (0.002, 0.998)  # inside the rectangle; with fewer, corners would be cut off
 ROTATION_TOLERANCE = 1e-6  # largest element of R R^T - I in a rotation that is read from a file
 Z = np.array([0.0, 0.0, 1.0])
 # what a record that is damaged raises
@@ -104,6 +111,49 @@ def map_axes(up: NDArray[np.float64]) -> NDArray[np.float64]:
     rotation: NDArray[np.float64] = (
         np.eye(3) - 2 / square * np.outer(halfway, halfway) + 2 * np.outer(Z, up))
     return rotation[:2]
+
+
+def ground_axes(up: NDArray[np.float64], content: NDArray[np.float64],
+                weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The axes u, v and up as rows [3, 3], right-handed, with u along the content's longer side.
+
+    u and v are the sides of the smallest rectangle around the content [M, 3], without outliers and
+    what has weight 0, which follows streets and flight lines; u points to the side where the
+    content has its longer tail. The axes therefore rotate with the scene."""
+    first = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    plane = np.stack([first, np.cross(up, first)]) / np.linalg.norm(first)
+    content, weights = content[weights > 0], weights[weights > 0]
+    sampled = content[::-(-len(content) // MOST_TRIED)]
+    along = (sampled - sampled.mean(axis=0)) @ plane.T
+    principal = np.linalg.eigh(along.T @ along)[1][:, 1]
+    angles = (np.arctan2(principal[1], principal[0])
+              + np.arange(ANGLE_STEPS) / ANGLE_STEPS * np.pi / 2)
+    areas = [np.prod(np.ptp(np.quantile(along @ _rotation(angle).T, RECTANGLE_QUANTILES, axis=0),
+                            axis=0)) for angle in angles]
+    axes = _rotation(angles[np.argmin(areas)]) @ plane
+    low, middle, high = np.transpose([quantiles(content @ axis, weights, (0.01, 0.5, 0.99))
+                                      for axis in axes])
+    longer = int(np.argmax(high - low))
+    u = axes[longer] * (1 if high[longer] + low[longer] >= 2 * middle[longer] else -1)
+    return np.stack([u, np.cross(up, u), up])
+
+
+def _rotation(angle: float) -> NDArray[np.float64]:
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+
+
+def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64], shares: Sequence[float]
+              ) -> NDArray[np.float64]:
+    """Weighted quantiles [K]: the numbers below which `shares` [K] of the weight of `values` lie.
+    """
+    order = np.argsort(values, kind="stable")
+    weight = np.cumsum(weights[order])
+    return np.interp(shares, (weight - weights[order] / 2) / weight[-1], values[order])
+
+
+def world_of(scene: Scene, points: ArrayLike) -> NDArray[np.float64]:
+    """The original world coordinates [N, 3] of points in the local frame of a scene."""
+    return scene.offset + scene.unit * np.asarray(points, np.float64).reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)

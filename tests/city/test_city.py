@@ -106,12 +106,12 @@ def test_large_blocks_have_the_gpu_to_themselves(tmp_path, monkeypatch):
     # with margins 2.56 times as many gaussians as this
     assert chosen({"grid": (2, 2)}, schedule="mcmc", max_gaussians=8_000_000).workers == 2
     assert chosen({"grid": (3, 1)}).workers == 3
-    assert chosen({}).workers == 1 and not chosen({}).several
+    assert chosen({}).workers == 1 and chosen({}).blocks == 1
     assert chosen({"grid": (2, 2)}, 2**36, 1).workers == 1
     assert chosen({"grid": (3, 3)}, 2**36, None, 2).workers == 8
     assert chosen({}, 2**36, None, 2).least_blocks == 2, "one for each device"
     small = chosen({}, 2**22)  # a device that is full with one block
-    assert small.several and small.workers == 1
+    assert small.blocks > 1 and small.workers == 1
     monkeypatch.setattr(os, "cpu_count", lambda: 11)
     assert chosen({"grid": (2, 2)}).workers == 2
 

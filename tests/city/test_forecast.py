@@ -96,21 +96,14 @@ def test_what_ten_times_the_photos_take():
     options = resolve({}, {"iterations": 1000})
     limit = gaussians_that_fit(device, options)
     planned = SimpleNamespace(prepared=SimpleNamespace(train_views=[view] * 100, options=options))
-    forecast = SimpleNamespace(
-        gaussians=limit // 2, seconds=3600.0, steps=4000,
-        measured=[(5000, 100, 0.9), (5000, 200, 0.9), (20000, 100, 2.7)])
+    forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0, steps=4000)
     small, large = scale_table(planned, forecast, device, [200, 2000]).rows
     assert small[:4] == ("200", "1", "200", "2,000") and small[7] == "2.00"
     # twenty times the scene, each part of it in 1.6**2 blocks, which share twice the steps
     assert large[1] in ("25", "26") and large[7] == f"{20 * 2.25:.2f}"
-    # photos of four times the pixels: four times the gaussians, and of the time but its fixed part
-    table = scale_table(planned, forecast, device, [200], (200, 100))
-    one = 2 * (1200 + 4 * 2400) / 3600
-    assert int(table.rows[0][4].replace(",", "")) == pytest.approx(4 * limit, abs=4)
-    assert hours(table)[0] == pytest.approx(2.25 * one, abs=0.006)
-    table = scale_table(planned, forecast, device, [200], None, 4)
-    assert large[1:2] == scale_table(planned, forecast, device, [2000], None, 4).rows[0][1:2]
+    table = scale_table(planned, forecast, device, [200], 4)
+    assert large[1:2] == scale_table(planned, forecast, device, [2000], 4).rows[0][1:2]
     rounds = -(-int(large[1]) // 4)  # of blocks on four devices, after the coarse run
-    assert hours(scale_table(planned, forecast, device, [2000], None, 4))[1] == pytest.approx(
+    assert hours(scale_table(planned, forecast, device, [2000], 4))[1] == pytest.approx(
         20 * (0.25 + 2 * rounds / int(large[1])), abs=0.006)
     assert table.rows[0][1] == "4" and hours(table) == pytest.approx([4.5, 0.5 + 1], abs=0.006)

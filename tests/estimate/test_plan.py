@@ -1,7 +1,5 @@
 """What is predicted of a training: its course, its memory, its time."""
 
-import os
-
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -9,7 +7,6 @@ from scipy.spatial import cKDTree
 
 from clsplat.camera import Camera
 from clsplat.cli.main import main
-from clsplat.cli.plan import duration, load
 from clsplat.device import Device
 from clsplat.estimate import forecast as module
 from clsplat.estimate.forecast import (
@@ -262,23 +259,6 @@ def test_pairs_are_counted_as_rendering_finds_them(float_device, city):
     expected = len(frame.visible), frame.pairs.count
     assert renderer.count(rows, packed, camera.width, camera.height) == expected
     assert renderer.count_splats(rows, packed) == expected[0] and min(expected) > 100
-
-
-@pytest.mark.parametrize("average, cores, busy", [(0.9, 2, None), (1.1, 2, (1.1, 2)),
-                                                  (3.0, 64, None)])
-def test_a_busy_machine_is_named(monkeypatch, average, cores, busy):
-    monkeypatch.setattr(os, "getloadavg", lambda: (average, 9, 9), raising=False)
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
-    assert load() == busy
-    monkeypatch.delattr(os, "getloadavg")  # as on Windows
-    assert load() is None
-
-
-@pytest.mark.parametrize("seconds, text", [
-    (44.6, "45 s"), (725, "12 min 05 s"), (3599.7, "1 h 00 min"), (23821, "6 h 37 min"),
-    (154_320, "42 h 52 min")])
-def test_long_times_are_hours(seconds, text):
-    assert duration(seconds) == text
 
 
 def test_photos_that_are_reduced_are_named():

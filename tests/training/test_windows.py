@@ -13,8 +13,7 @@ from clsplat.io.photos.views import read_photo
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.partition.blocks import find_windows
-from clsplat.partition.input import world_of
-from clsplat.partition.region import Region, Space
+from clsplat.partition.region import Region, Space, world_of
 from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View
 from tests import cases

@@ -12,8 +12,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from clsplat.partition.input import CONTENT_QUANTILES, world_of
-from clsplat.partition.region import Partition, Region
+from clsplat.partition.region import CONTENT_QUANTILES, Partition, Region, world_of
 from clsplat.report.figures import COLOURS, own_settings
 from clsplat.scene import Scene
 
