@@ -146,8 +146,6 @@ def train_coarse(city: City, progress: SilentProgress | None = None, joint: bool
     `joint` : whether the city will be trained jointly.
     """
     folder = RunFolder(city.folder.coarse)
-    if folder.is_begun and folder.read_options().get("fingerprint") != fingerprint(city.scene):
-        raise InputError(f"{folder.path}: is a run of another scene; choose another --output")
     if folder.is_finished:
         return folder
     coarse = coarse_options(city, joint)

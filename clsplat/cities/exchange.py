@@ -136,11 +136,11 @@ def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder]
 
 class Owned:
     """What a block owned at an exchange, in its file; InputError if that is damaged, or of another
-    city. `record` : of the block that reads it.
+    city or block. `record` : of the block that reads it.
 
     Attributes
     ----------
-    rows, degree : arrays of a checkpoint with a row a gaussian, without moments; of harmonics.
+    rows : arrays of a checkpoint with a row a gaussian, without moments.
     frame : the unit and the offset of the block.
     """
 
@@ -150,16 +150,13 @@ class Owned:
         self.rows = read_npz(path, DAMAGED, self._cure, lambda name: name == STATE or _is_row(name))
         try:
             self.frame = object_of(self.rows.pop(STATE).tobytes())
-            self.degree = int(np.sqrt(self.rows["row.sh_rest"].shape[1] + 1)) - 1
-            gaussians_of(self.rows, self.degree, moments=False)
+            self._check(self.rows, moments=False)
             if not (self.frame["unit"] > 0 and np.shape(self.frame["offset"]) == (3,)):
                 raise ValueError("its frame")
         except (KeyError, TypeError, ValueError) as error:
-            raise self._damaged(error) from None
-        if self.frame.get(CITY) != record[CITY]:
-            raise InputError(f"{path}: of another city; {self._cure}")
-        if self.frame.get(START, start := block.start()) != start:
-            raise InputError(f"{path}: of another block or partition than {block.path}; "
+            raise InputError(f"{path}: {DAMAGED} ({error}); {self._cure}") from None
+        if (self.frame.get(CITY), self.frame.get(START)) != (record[CITY], block.start()):
+            raise InputError(f"{path}: of another city, block or partition than {block.path}; "
                              f"{self._cure}")
 
     def arrays(self, indices: NDArray[np.integer] | None = None) -> Arrays:
@@ -173,13 +170,15 @@ class Owned:
         found = {**rows, **read_npz(self._path, DAMAGED, self._cure, lambda name: name != STATE
                                     and not _is_row(name), indices)}
         try:
-            gaussians_of(found, self.degree)
+            self._check(found, moments=True)
         except (KeyError, ValueError) as error:
-            raise self._damaged(error) from None
+            raise InputError(f"{self._path}: {DAMAGED} ({error}); {self._cure}") from None
         return found
 
-    def _damaged(self, error: Exception) -> InputError:
-        return InputError(f"{self._path}: {DAMAGED} ({error}); {self._cure}")
+    @staticmethod
+    def _check(arrays: Arrays, moments: bool) -> None:
+        degree = int(np.sqrt(arrays["row.sh_rest"].shape[1] + 1)) - 1
+        gaussians_of(arrays, degree, moments=moments)
 
 
 def _in_frame_of(scene: Scene, owned: Arrays, frame: dict[str, Any]) -> Arrays:

@@ -55,8 +55,7 @@ READ_TOGETHER = 4  # blocks, where all of them will be in memory
 STARVED = 0.1  # gaussians for each sparse point of its cell; a block with fewer did not train well
 FILLED = ("merged", "coarse")  # states of a block whose cell is filled
 TRAINS = "in training"  # by another process, at this moment
-MISSING = "missing"
-NEVER_FILLED = (TRAINS, "refused")  # states of a block; the message gives the cure of the last one
+NEVER_FILLED = (TRAINS, "refused")  # states of a block, whose note has the cure
 SPENT = ("iteration", "train_seconds", "wall_seconds")
 
 log = logging.getLogger(__name__)
@@ -110,12 +109,9 @@ class Merged:
         if not lacking:
             return
         named = ", ".join(f"{share.block:03d} {share.state}" for share in lacking)
-        see = (f"see `clsplat block {self.path}/blocks/{lacking[0].block:03d}`"
-               if lacking[0].state != MISSING else
-               "run the `clsplat city` or `clsplat partition` that wrote the blocks again")
-        cure = f"{see}, or fill them from the coarse model with --fill"
-        for state in NEVER_FILLED:
-            cure = next((share.note for share in lacking if share.state == state), cure)
+        cure = next((share.note for share in lacking if share.state in NEVER_FILLED), (
+            f"see `clsplat block {self.path}/blocks/{lacking[0].block:03d}`, give `clsplat city` "
+            "again, or fill them from the coarse model with --fill"))
         raise InputError(f"{self.path}: {len(lacking)} of {len(self.shares)} blocks cannot be "
                          f"merged: {named}; {cure}")
 
@@ -206,7 +202,7 @@ def _block(folder: BlockFolder, number: int, partition: Partition, scene: Scene
            ) -> tuple[str, int, Gaussians | None, str]:
     """The state of a block, its number of trained gaussians, those of its cell, and a note."""
     if not folder.is_there:
-        return MISSING, 0, None, "it was never written"
+        return "missing", 0, None, "it was never written"
     run = RunFolder(folder.run)
     if not run.has_model:
         if is_locked(folder.run):
@@ -233,9 +229,8 @@ def reference_file(against: Path | None, tree: bool) -> Path | None:
                          "of them out")
     path = RunFolder(against).model_path if against.is_dir() else against
     if not path.is_file():
-        raise InputError(f"--against {against}: " + (
-            f"has no {path.name}; give a finished run, or a PLY file" if against.is_dir()
-            else "no such file; give a PLY file, or a finished run"))
+        raise InputError(f"--against {against}: {path} is missing; give a finished run, or a PLY "
+                         "file")
     read_ply(path)
     return path
 
@@ -401,11 +396,8 @@ def joint_options(city: City, given: Any, count: int) -> TrainOptions:
 
     A limit of gaussians is one of each block, so the merged model of `count` may have more; it does
     not grow then. The same views are held out as of one run."""
-    path = city.folder.path / PARTITION
-    if not isinstance(given, dict):
-        raise InputError(f"{path}: damaged ({JOINT} is {str(given)[:20]!r}); remove it, and make "
-                         f"it with `clsplat partition {city.folder.path}`")
-    joint = resolve(of_file(str(path), given), {"init": str(city.folder.joint_start)})
+    joint = resolve(of_file(str(city.folder.path / PARTITION), given),
+                    {"init": str(city.folder.joint_start)})
     most = joint.max_gaussians and max(joint.max_gaussians, count)
     return dataclasses.replace(joint, max_gaussians=most, test_every=city.options.test_every,
                                test_offset=city.options.test_offset)

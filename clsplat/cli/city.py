@@ -12,7 +12,6 @@ import click
 from clsplat.cli.flags import (
     DEVICE,
     FiniteRange,
-    Parsed,
     SectionedCommand,
     SectionedOption,
     TrainingCommand,
@@ -22,7 +21,6 @@ from clsplat.cli.flags import (
     training_flags,
 )
 from clsplat.cli.train import ending
-from clsplat.config.option import AUTO, is_auto
 from clsplat.errors import InputError, Interrupted
 from clsplat.partition.options import PartitionOptions
 
@@ -37,26 +35,17 @@ TREE_HELP = ("Merge into a tree of levels of detail, CITY/point_cloud.tree, whic
              "memory, and nothing is evaluated.")
 
 
-def number_of_workers(text: str) -> int | None:
-    """What --workers says; None for auto."""
-    try:
-        return None if is_auto(text) else int(text)
-    except ValueError:
-        raise ValueError("not a number of workers; give auto or a whole number") from None
-
-
 @click.command(cls=TrainingCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
 @training_flags
 @flags_of(PartitionOptions)
 @click.option("-o", "--output", type=click.Path(path_type=Path), **BLOCKS,
               help="Folder of the city; default: SCENE.city.")
-@click.option("--workers", type=Parsed("INTEGER", number_of_workers), default=AUTO,
-              show_default=True, metavar="[auto|INTEGER]", **BLOCKS,
-              help="Number of blocks that are trained at a time on this machine; --grid auto makes "
-              "at least as many blocks. auto: one for each device, or as many as share a GPU "
-              "well: up to four, with four cores for each, and blocks that fit its memory "
-              "together. With --scheduler: for how many workers to cut.")
+@click.option("--workers", type=click.IntRange(min=1), **BLOCKS, help="Number of blocks that are "
+              "trained at a time on this machine; --grid auto makes at least as many blocks. "
+              "Default: one for each device, or as many as share a GPU well: up to four, with four "
+              "cores for each, and blocks that fit its memory together. With --scheduler: for how "
+              "many workers to cut.")
 @click.option("--scheduler", default="", **BLOCKS, help="Address of a Dask scheduler, such as "
               "tcp://10.0.0.1:8786, whose workers train the blocks.")
 @click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, use the coarse model's "

@@ -67,7 +67,7 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, workers: int, **_optio
     _line("memory", _memory(forecast, device))
     _line("time", _time(forecast))
     if counts:
-        from clsplat.cities.forecast import scale_table
+        from clsplat.cities.run import scale_table
         click.echo(f"\n{scale_table(planned, forecast, device, counts, workers).text()}")
 
 

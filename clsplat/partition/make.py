@@ -68,7 +68,7 @@ class _Input:
     """
 
     def __init__(self, scene: Scene, gaussians: Gaussians | None, views: ArrayLike | None,
-                 up: Sequence[float] | None, weights: NDArray[np.float64] | None) -> None:
+                 weights: NDArray[np.float64] | None) -> None:
         self.scene = scene
         self.views = np.arange(len(scene.views)) if views is None else np.asarray(views)
         chosen = [scene.views[index] for index in self.views]
@@ -88,8 +88,7 @@ class _Input:
             raise InputError(f"{scene.name}: there is nothing to divide among blocks, since no "
                              "training view sees a point; reconstruct the scene again, or train a "
                              "coarse model first")
-        self.rotation = ground_axes(scene.up if up is None else np.array(up) / np.linalg.norm(up),
-                                    self.content, self.weights)
+        self.rotation = ground_axes(scene.up, self.content, self.weights)
 
     def content_box(self, shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,)
                     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -134,7 +133,7 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
     ------
     InputError : no view sees any point.
     """
-    data = _Input(scene, gaussians, views, options.up, weights)
+    data = _Input(scene, gaussians, views, weights)
     low, high = data.content_box()
     side = np.maximum((high - low)[:2], np.finfo(float).tiny)
     grid = options.grid or choose_grid(options.needed, side[0] / side[1])

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 
-from clsplat.config.option import AUTO, MOST, check_flag, is_auto, option, options_of
+from clsplat.config.option import AUTO, check_flag, is_auto, option, options_of
 from clsplat.errors import InputError
 
 METHODS = ("citygs", "blockgs")
@@ -12,12 +12,6 @@ MOST_BLOCKS = 10_000
 # where `auto` leaves it open: without a joint training, and with one
 BLOCK_STEPS, BLOCK_STEPS_BEFORE_JOINT = 2.0, 0.25
 EXCHANGES, JOINT_STEPS = 3, 0.5
-
-
-def check_up(up: tuple[float, ...]) -> None:
-    """Raise ValueError if the vector does not have a direction."""
-    if not sum(part * part for part in up) > 0:
-        raise ValueError
 
 
 @dataclass(frozen=True)
@@ -49,10 +43,6 @@ class PartitionOptions:
     margin: float = option(0.3, "Blocks", "width of the strip around a block that it also trains, "
                            "as a share of the block's sides", minimum=0.0, maximum=10.0,
                            measured=True)
-    up: tuple[float, float, float] | None = option(
-        None, "Blocks", "the direction that points up; default: estimated from the cameras",
-        expects="three numbers that are not all 0, such as 0 0 1", minimum=-MOST[float],
-        check=check_up)
     threshold: float = option(0.003, "Blocks", "citygs assigns a view to a block if the view "
                               "without the block changes by more than this, as 1 - SSIM",
                               minimum=0.0, maximum=2.0, measured=True)

@@ -8,15 +8,15 @@ import pytest
 
 import clsplat.cities.run as city_module
 from clsplat.cities.city import City
-from clsplat.cities.forecast import (
+from clsplat.cities.run import (
     PIXELS_PER_GAUSSIAN,
+    chosen_partition,
     expected_gaussians,
     facts_of_whole,
     gaussians_that_fit,
     one_block_note,
     scale_table,
 )
-from clsplat.cities.run import chosen_partition
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.io.runs.city import CityFolder
