@@ -32,15 +32,14 @@ MOST_RATIO = 0.85  # of the angles to the nearest and the second nearest descrip
 METRES_PER_DEGREE = 111_320.0
 
 
-def choose_pairs(database: Path, photos: Sequence[SourcePhoto], method: str, is_video: bool,
-                 progress: Progress) -> tuple[NDArray[np.int64], str]:
+def choose_pairs(database: Path, photos: Sequence[SourcePhoto], method: str, progress: Progress
+                 ) -> tuple[NDArray[np.int64], str]:
     """Choose pairs of photos.
 
     Parameters
     ----------
     database : with the features of the photos.
     method : auto, gps, sequence or all.
-    is_video : whether the photos are frames of a video.
 
     Returns
     -------
@@ -64,7 +63,7 @@ def choose_pairs(database: Path, photos: Sequence[SourcePhoto], method: str, is_
             rows = _unique(near, count, BEFORE_AND_AFTER)
             return rows, (f"{len(rows):,} pairs of neighbours by GPS ({with_gps} of {count} "
                           "photos have it)")
-    is_sequence = is_video or method == "sequence"
+    is_sequence = method == "sequence"
     rows = _unique(list(_similar(database, count, progress)), count,
                    SEQUENCE if is_sequence else BEFORE_AND_AFTER)
     kind = ("photos that follow each other or have similar content" if is_sequence else

@@ -131,8 +131,8 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
         unfinished.open(photos, {"masks": masks, "matching": options.matching,
                                  "camera_model": options.camera_model}, overwrite)
         database = unfinished.folder / "database.db"
-        damaged, matching = _match(database, photos, cameras, options.matching, is_video(source),
-                                   progress)
+        method = "sequence" if is_video(source) and options.matching == "auto" else options.matching
+        damaged, matching = _match(database, photos, cameras, method, progress)
         if not unfinished.has_model:
             unfinished.keep(map_photos(database, cameras, len(photos), progress), photos)
         model, metadata = unfinished.model(), {photo.name: photo.metadata for photo in photos}
@@ -164,13 +164,13 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
 
 
 def _match(database: Path, photos: Sequence[SourcePhoto], cameras: Sequence[SourceCamera],
-           matching: str, of_video: bool, progress: Progress) -> tuple[dict[str, str], str]:
+           method: str, progress: Progress) -> tuple[dict[str, str], str]:
     """Fill the database; why photos cannot be used, by name, and which pairs were matched."""
     try:
         if not database.exists():
             create_database(database, cameras)
         damaged = extract_features(database, photos, progress)
-        pairs, why = choose_pairs(database, photos, matching, of_video, progress)
+        pairs, why = choose_pairs(database, photos, method, progress)
         progress.message(f"matching {why}")
         match_pairs(database, pairs, progress)
     except RuntimeError as error:  # of SQLite in pycolmap, which gives no other reason

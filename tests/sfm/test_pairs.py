@@ -15,14 +15,14 @@ def located(count, spacing=1e-4):
 
 
 def test_few_photos_are_matched_all_with_all():
-    rows, reason = choose_pairs(None, [source() for _ in range(5)], "auto", False, Lines())
+    rows, reason = choose_pairs(None, [source() for _ in range(5)], "auto", Lines())
     assert rows.tolist() == [[a, b] for a in range(5) for b in range(a + 1, 5)]
     assert reason == "all 10 pairs of 5 photos"
 
 
 def test_neighbours_by_gps():
     photos = located(60)
-    rows, reason = choose_pairs(None, photos, "auto", False, Lines())
+    rows, reason = choose_pairs(None, photos, "auto", Lines())
     assert "by GPS" in reason
     apart = rows[:, 1] - rows[:, 0]
     assert apart.min() == 1 and apart.max() <= pairs.NEIGHBOURS
@@ -31,7 +31,7 @@ def test_neighbours_by_gps():
 
 def test_gps_that_photos_lack_cannot_be_asked_for():
     with pytest.raises(InputError, match="only 0 of 5 photos have GPS"):
-        choose_pairs(None, [source() for _ in range(5)], "gps", False, Lines())
+        choose_pairs(None, [source() for _ in range(5)], "gps", Lines())
 
 
 def test_videos_and_unknown_photos_are_compared_by_their_largest_features(monkeypatch):
@@ -41,11 +41,11 @@ def test_videos_and_unknown_photos_are_compared_by_their_largest_features(monkey
     monkeypatch.setattr(pairs, "_largest", lambda database, count: np.array([
         kinds[index % 2] for index in range(count)]))
     photos = [source() for _ in range(50)]
-    rows, reason = choose_pairs(None, photos, "auto", False, Lines())
+    rows, reason = choose_pairs(None, photos, "auto", Lines())
     assert reason.endswith("of similar content")
     far = rows[rows[:, 1] - rows[:, 0] > pairs.BEFORE_AND_AFTER]
     assert len(far) and not np.any((far[:, 1] - far[:, 0]) % 2)
-    rows, reason = choose_pairs(None, photos, "auto", True, Lines())
+    rows, reason = choose_pairs(None, photos, "sequence", Lines())
     assert "follow each other" in reason and [0, 9] in rows.tolist()
 
 

@@ -50,8 +50,7 @@ def digest(folder, scene, used, **changes):
 
 @pytest.mark.slow
 def test_many_steps(float_device, city, tmp_path, monkeypatch):
-    """In smaller parts and in bands, and in larger parts. The same once more is
-    tests/system/test_resume.py."""
+    """In smaller parts and in bands, and in larger parts."""
     first = digest(tmp_path / "first", city, float_device, **SHORT)
     small = cut_otherwise(float_device, group_size=32, scan_group=64, compute_units=1)
     with monkeypatch.context() as patch:

@@ -8,7 +8,6 @@ is a fault as much as a traceback.
 import numpy as np
 
 from clsplat.camera import Camera
-from clsplat.gaussians import LEARNED
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.control_points import read_control_points
 from clsplat.io.georeference.files import (
@@ -21,16 +20,14 @@ from clsplat.io.models.formats import read_model, write_model
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.photos.images import image_size, read_image, write_image
 from clsplat.io.photos.metadata import read_metadata
-from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import from_toml, resolve
-from clsplat.training import checkpoint
 from tests.adversarial.fuzz.reader import Reader, check, gaussians_like, usable
 from tests.data import layouts, projects
 from tests.data.tiny_model import reconstruction, write_scene
 from tests.io.photos.test_metadata import GPS, photo
 
-# --- scenes, models, runs
+# --- scenes, models, options
 
 
 def _model(suffix):
@@ -118,32 +115,6 @@ def _made_transforms(folder):
         layouts.write_json(parted / f"transforms_{part}.json", {
             **table, "frames": table["frames"][number::2]})
     return whole, angled, parted
-
-
-def _made_checkpoints(folder):
-    for degree in (0, 1):
-        seed = folder / str(degree)
-        gaussians = gaussians_like(4, degree)
-        arrays = {f"row.{name}": values for name, values in gaussians.rows.items()}
-        arrays |= {f"{kind}.{field.name}": 0 * gaussians.rows[field.name]
-                   for kind in "mv" for field in LEARNED}
-        arrays |= {"statistics.grad_norm_sum": np.zeros(4, np.float32),
-                   "statistics.seen_count": np.zeros(4, np.uint32)}
-        run = RunFolder.create(seed)
-        run.write_options({"scene": "/data/city", "sh_degree": degree})
-        run.save_checkpoint(arrays, {
-            "fingerprint": "ab" * 32, "iteration": 7, "evaluated_at": None, "level": 2.0,
-            "train_seconds": 1.5, "wall_seconds": 2.5, "kernel_bytes": 3, "pixel_pairs": 4,
-            "initial_count": 4, "schedule": {"rounds": 1}, "budget": None,
-            "skipped": {"total": 0, "closed": 0, "asked": 0}})
-        yield seed
-
-
-def _checkpoint(folder):
-    run = RunFolder.open(folder)
-    arrays, state = run.load_checkpoint()
-    check(checkpoint.saved_gaussians(run, run.read_options(), arrays, state))
-    assert state["iteration"] >= 0 and state["level"] >= 1
 
 
 def _made_options(folder):
@@ -286,6 +257,5 @@ READERS = {
         ".spz", ".sog", ".glb", ".las")},  # lazrs aborts on bad LAZ
     "georeference": Reader(_georeferences, _georeference, text=True, files=(".json",)),
     "gcp": Reader(_control_points, _read_control_points, text=True, files=(".txt",)),
-    "checkpoint": Reader(_made_checkpoints, _checkpoint, files=(".npz",)),
     "options": Reader(_made_options, _options, text=True),
 }

@@ -63,13 +63,6 @@ def test_create_open_overwrite(run):
     assert left == ["mine.txt", "renders", "renders/note.txt"]
 
 
-def test_unusable_folder(tmp_path):
-    (tmp_path / "file").write_text("")
-    refused(lambda: RunFolder.create(tmp_path / "file"), "file", "--output")
-    refused(lambda: RunFolder.create(tmp_path / "file" / "run"), "file", "--output")
-    refused(lambda: RunFolder.create(Path("/proc/run")), "/proc/run", "--output")
-
-
 def test_options(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run.write_options({"scene": "town", "options": {"seed": np.int64(3), "init": Path("a.ply")},
@@ -154,7 +147,7 @@ def full_disk():
     signal.signal(signal.SIGXFSZ, handler)
 
 
-@pytest.mark.parametrize("count", [16_300, 17_000, 1_000_000])
+@pytest.mark.parametrize("count", [16_300, 1_000_000])
 def test_full_disk_keeps_the_old_checkpoint(run, full_disk, count):
     run.save_checkpoint(ARRAYS, STATE)
     big = {"a": np.zeros(count, np.float32), "b": np.zeros(count, np.float32)}
