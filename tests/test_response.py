@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.io.runs.learned import read_exposures, write_exposures
+from clsplat.io.runs.run import read_exposures, write_exposures
 from clsplat.response import Lenses, Response, corner_radius, lens_kind
 
 CAMERA = Camera(80, 60, (70, 75), (43, 28), np.eye(3), np.zeros(3))

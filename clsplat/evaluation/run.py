@@ -18,8 +18,7 @@ from clsplat.io.georeference.files import placed, read_georeference, read_orient
 from clsplat.io.models.formats import read_with_notes
 from clsplat.io.models.tree import TREE, Tree
 from clsplat.io.photos.undistort import undistorted
-from clsplat.io.runs.learned import read_poses
-from clsplat.io.runs.run import RunFolder
+from clsplat.io.runs.run import RunFolder, read_poses
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, recorded
 from clsplat.rendering.slabs import ModelRenderer

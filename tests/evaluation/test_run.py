@@ -15,8 +15,7 @@ from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.run import to_render
 from clsplat.evaluation.views import evaluate_run, photo_of, render_view
 from clsplat.gaussians import Gaussians
-from clsplat.io.runs.learned import write_poses
-from clsplat.io.runs.run import RunFolder
+from clsplat.io.runs.run import RunFolder, write_poses
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.placement.corrections import Correction

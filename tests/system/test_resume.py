@@ -13,8 +13,7 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.errors import InputError
-from clsplat.io.runs.learned import read_poses
-from clsplat.io.runs.run import RunFolder
+from clsplat.io.runs.run import RunFolder, read_poses
 from clsplat.training.loop import resume
 from clsplat.training.parts import image_term
 from clsplat.training.step import Step

@@ -8,7 +8,7 @@ from clsplat.cities.city import City
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.runs.city import CityFolder
-from clsplat.io.runs.learned import read_poses
+from clsplat.io.runs.run import read_poses
 from clsplat.io.scenes.read import read_scene
 from clsplat.optimise.pose import WARM_UP
 from clsplat.options import resolve

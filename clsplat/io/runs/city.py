@@ -23,8 +23,7 @@ from clsplat.io.models.ply import start_of, write_ply
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
 from clsplat.io.reason import reason
 from clsplat.io.records import digest_of, object_of, write_object
-from clsplat.io.runs.learned import EXPOSURES, read_exposures, write_exposures
-from clsplat.io.runs.run import CITY, FILES, RunFolder
+from clsplat.io.runs.run import CITY, EXPOSURES, FILES, RunFolder, read_exposures, write_exposures
 from clsplat.io.scenes.write import link_again, write_scene
 from clsplat.partition.region import DAMAGED, Partition, Region
 from clsplat.response import Response

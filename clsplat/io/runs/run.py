@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL, replacing
+from clsplat.io.fields import numbers, reading
 from clsplat.io.folders import make_folder
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.models.ply import read_ply, write_ply
@@ -23,10 +24,13 @@ from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, write_object
-from clsplat.io.runs.learned import EXPOSURES, POSES, read_exposures, write_exposures
+from clsplat.io.regular import read_regular
 from clsplat.io.runs.origin import origin, recorded_scene, scene_record
+from clsplat.placement.corrections import Correction
 from clsplat.response import Response
 
+EXPOSURES, POSES = "exposures.json", "poses.json"
+TRANSFORM, VIGNETTING, POSE = 12, 4, 6  # numbers of a view
 OPTIONS, METRICS = "options.json", "metrics.jsonl"
 CHECKPOINT = "checkpoint.npz"
 PICTURES = "renders/test"  # of held-out views, by `clsplat eval`
@@ -235,7 +239,7 @@ class RunFolder:
     def checkpoint_iteration(self) -> int:
         """The number of steps before the checkpoint; 0 without one."""
         state = self.load_checkpoint(lambda _: False)[1] if self.has_checkpoint else {}
-        return state["iteration"] if type(state.get("iteration")) is int else 0
+        return int(state.get("iteration", 0))
 
     def load_checkpoint(self, wanted: Callable[[str], bool] = lambda name: True
                         ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -320,3 +324,43 @@ def _read(path: Path) -> bytes:
 
 def _whole_lines(data: bytes) -> bytes:
     return data[:data.rfind(b"\n") + 1]
+
+
+def write_exposures(path: Path, responses: Mapping[str, Response]) -> None:
+    """Write the responses of views by name, without rounding: the rows [M | t] of the transform,
+    and the vignetting if there is any."""
+    write_object(path, {name: [*response.transform.ravel().tolist(), *(
+        response.vignetting.tolist() if response.has_vignetting else [])]
+        for name, response in responses.items()}, indent=0)
+
+
+def read_exposures(path: Path) -> dict[str, Response] | None:
+    """Read what `write_exposures` wrote, None without it; InputError if it is damaged."""
+    if not path.is_file():
+        return None
+    rows = _rows(path, (TRANSFORM, TRANSFORM + VIGNETTING), "a file of exposures")
+    return {name: Response(row.reshape(3, 4)) if len(row) == TRANSFORM else
+            Response(row[:TRANSFORM].reshape(3, 4), row[TRANSFORM:]) for name, row in rows.items()}
+
+
+def write_poses(run: Path, corrections: Mapping[str, Correction]) -> None:
+    """Write the corrections of views by name, without rounding: six numbers each, the turn and the
+    shift in world units. `run` is the folder."""
+    write_object(run / POSES, {name: [*each.turn.tolist(), *each.shift.tolist()]
+                               for name, each in corrections.items()}, indent=0)
+
+
+def read_poses(run: Path) -> dict[str, Correction]:
+    """Read what `write_poses` wrote; InputError if it is damaged. A run without it has none."""
+    if not (run / POSES).is_file():
+        return {}
+    rows = _rows(run / POSES, (POSE,), "a file of corrected poses")
+    return {name: Correction(row[:3], row[3:]) for name, row in rows.items()}
+
+
+def _rows(path: Path, counts: Sequence[int], what: str) -> dict[str, NDArray[np.float64]]:
+    """The numbers of each view, of which there may be so many."""
+    with reading(path, what, "copy it again, or train the run that wrote it again"):
+        rows = object_of(read_regular(path))
+        return {name: numbers(row, counts[-1] if len(row) != counts[0] else counts[0], name[:80])
+                for name, row in rows.items()}

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from clsplat.io.runs.learned import write_poses
+from clsplat.io.runs.run import RunFolder, write_poses
 from clsplat.optimise.options import PoseOptions
 from clsplat.optimise.pose import LEARNED, Poses, pose_rate
 from clsplat.placement.corrections import Correction, typical_depth
 from clsplat.training.part import Inputs, Now, Part, State, TrainingSample, ViewPass
 
 if TYPE_CHECKING:
-    from clsplat.io.runs.run import RunFolder
     from clsplat.scene import View
     from clsplat.training.session import Session
     from clsplat.training.start.prepare import PreparedScene
