@@ -2,12 +2,16 @@
 
 import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
+from clsplat.io.reason import reason
+from clsplat.io.regular import read_regular
 
 LARGEST_NUMBER = 1e100  # sums of squares stay finite
 
@@ -25,6 +29,21 @@ def object_of(data: bytes) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise ValueError("not a JSON object")
     return table
+
+
+def read_object(path: Path, kinds: Mapping[str, type], cure: str) -> dict[str, Any]:
+    """Read a JSON file; InputError, with this cure, if it is missing or damaged, or a key is not of
+    its type in `kinds`."""
+    try:
+        record = object_of(read_regular(path))
+        for key, kind in kinds.items():
+            if type(record.get(key)) is not kind:
+                raise ValueError(f"{key} is {str(record.get(key))[:20]!r}")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; {cure}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: damaged ({reason(error)}); {cure}") from None
+    return record
 
 
 def write_object(path: Path, record: dict[str, Any], indent: int = 1) -> None:

@@ -25,7 +25,7 @@ from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.photos.masks import MASKS
 from clsplat.io.photos.photo import common_levels, levels_note
 from clsplat.io.reason import reason
-from clsplat.io.records import object_of, plain, write_object
+from clsplat.io.records import object_of, plain, read_object, write_object
 from clsplat.io.regular import read_regular
 from clsplat.io.scenes.colmap import write_reconstruction
 from clsplat.io.scenes.colmap_files import CAMERA_MODELS
@@ -185,10 +185,7 @@ def is_finished(output: Path, source: Path) -> bool:
     path = output / RECORD
     if not path.exists():
         return False
-    try:
-        record = object_of(read_regular(path))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: damaged ({reason(error)}); remove {output}") from None
+    record = read_object(path, {}, f"remove {output}")
     made_of, masks = record.get("source"), record.get("masks")
     if made_of != plain(source.resolve()):
         raise InputError(f"{output}: was made of {made_of}, not of {source}; remove it, or give "

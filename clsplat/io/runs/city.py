@@ -22,7 +22,7 @@ from clsplat.io.folders import new_folder
 from clsplat.io.models.ply import start_of, write_ply
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
 from clsplat.io.reason import reason
-from clsplat.io.records import digest_of, object_of, write_object
+from clsplat.io.records import digest_of, read_object, write_object
 from clsplat.io.runs.run import CITY, EXPOSURES, FILES, RunFolder, read_exposures, write_exposures
 from clsplat.io.scenes.write import link_again, write_scene
 from clsplat.partition.region import DAMAGED, Partition, Region
@@ -69,8 +69,8 @@ class CityFolder:
 
     def read(self, **kinds: type) -> dict[str, Any]:
         """Read city.json; `kinds` are the types of keys that are needed besides `fingerprint`."""
-        return _read(self.path / CITY, {"fingerprint": str, **kinds},
-                     "give a folder that `clsplat city` wrote")
+        return read_object(self.path / CITY, {"fingerprint": str, **kinds},
+                           "give a folder that `clsplat city` wrote")
 
     def check_there(self) -> None:
         """InputError if the folder holds neither a city nor a coarse run, from which one begins."""
@@ -95,7 +95,8 @@ class CityFolder:
 
     def read_partition(self) -> dict[str, Any]:
         """Read partition.json."""
-        return _read(self.path / PARTITION, {}, f"make it with `clsplat partition {self.path}`")
+        return read_object(self.path / PARTITION, {},
+                           f"make it with `clsplat partition {self.path}`")
 
     def partition(self, scene: Scene | None = None) -> Partition:
         """The partition; InputError if it is damaged, or not of this whole scene."""
@@ -192,7 +193,7 @@ class BlockFolder:
     def region(self) -> tuple[Region, dict[str, float]]:
         """The region of the block, and name of a view -> how often a training visits it."""
         path = self.path / REGION
-        record = _read(path, {}, "partition the city again")
+        record = read_object(path, {}, "partition the city again")
         try:
             return Region.from_record(record), dict(record.get(VISITS, {}))
         except DAMAGED as error:
@@ -220,8 +221,8 @@ class BlockFolder:
         """Read block.json: at least `number`, `city`, `partition` and `options`, a dict, and these
         counts, which are integers."""
         kinds = {"number": int, "city": str, "partition": str, "options": dict}
-        return _read(self.path / BLOCK, kinds | dict.fromkeys(counts, int),
-                     "give a folder CITY/blocks/NNN that `clsplat partition` wrote")
+        return read_object(self.path / BLOCK, kinds | dict.fromkeys(counts, int),
+                           "give a folder CITY/blocks/NNN that `clsplat partition` wrote")
 
     def check(self) -> None:
         """InputError if the block lacks its region, or if it lies, perhaps by a link, in a city to
@@ -247,18 +248,4 @@ def cropped_to_windows(scene: Scene, folder: Path) -> Scene:
     path = folder / REGION
     if not path.is_file():
         return scene
-    return scene.cropped(_read(path, {WINDOWS: dict}, "partition the city again")[WINDOWS])
-
-
-def _read(path: Path, kinds: Mapping[str, type], cure: str) -> dict[str, Any]:
-    """Read a JSON file; InputError if it is damaged, or a key is not of its type in `kinds`."""
-    try:
-        record = object_of(path.read_bytes())
-        for key, kind in kinds.items():
-            if type(record.get(key)) is not kind:
-                raise ValueError(f"{key} is {str(record.get(key))[:20]!r}")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; {cure}") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: damaged ({reason(error)}); remove it, and {cure}") from None
-    return record
+    return scene.cropped(read_object(path, {WINDOWS: dict}, "partition the city again")[WINDOWS])

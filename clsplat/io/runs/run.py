@@ -23,7 +23,7 @@ from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
 from clsplat.io.reason import reason
-from clsplat.io.records import object_of, plain, write_object
+from clsplat.io.records import object_of, plain, read_object, write_object
 from clsplat.io.regular import read_regular
 from clsplat.io.runs.origin import origin, recorded_scene, scene_record
 from clsplat.placement.corrections import Correction
@@ -146,12 +146,7 @@ class RunFolder:
 
     def read_options(self) -> dict[str, Any]:
         """Read what `write_options` wrote."""
-        path = self.path / OPTIONS
-        try:
-            return object_of(_read(path))
-        except ValueError as error:
-            raise InputError(f"{path}: damaged ({reason(error)}); start the run again with "
-                             "--overwrite") from None
+        return read_object(self.path / OPTIONS, {}, "start the run again with --overwrite")
 
     @property
     def is_begun(self) -> bool:
@@ -208,7 +203,7 @@ class RunFolder:
         lines: list[tuple[dict[str, Any], bytes]] = []
         if not path.exists():
             return lines
-        for number, line in enumerate(_whole_lines(_read(path)).splitlines(keepends=True), 1):
+        for number, line in enumerate(_whole_lines(path.read_bytes()).splitlines(keepends=True), 1):
             try:
                 lines.append((object_of(line), line))
             except ValueError as error:
@@ -312,14 +307,6 @@ def find_runs(path: str | Path) -> list[RunFolder]:
         raise InputError(f"{path}: holds no run ({OPTIONS} is missing here and two levels below); "
                          "give folders that `clsplat train` wrote")
     return [RunFolder.open(folder) for folder in folders]
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); is this a run folder?"
-                         ) from None
 
 
 def _whole_lines(data: bytes) -> bytes:
