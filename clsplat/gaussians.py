@@ -224,8 +224,8 @@ def check_field(known: Field, values: Any, count: int, sh_degree: int) -> None:
         raise InputError(f"{known.name}: holds {values.dtype}; give real numbers")
     shape = (count, *known.row_shape(sh_degree))
     if values.shape != shape:
-        of = f", which {count:,} gaussians of SH degree {sh_degree} have"
-        raise InputError(f"{known.name}: has shape {values.shape}, not {shape}{of}")
+        raise InputError(f"{known.name}: has shape {values.shape}, not {shape}, which {count:,} "
+                         f"gaussians of SH degree {sh_degree} have")
 
 
 def neighbour_distance(points: NDArray[np.floating], neighbours: int = 3

@@ -30,34 +30,25 @@ def transformed(gaussians: Gaussians, scale: float = 1.0, rotation: ArrayLike | 
     ------
     InputError : single precision does not hold the result.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        result = _moved(gaussians, scale, rotation, translation)
-        far = np.abs(result.positions.astype(np.float64)).max(axis=0, initial=0.0) + np.abs(
-            result.offset)
-    lost = ((np.abs(result.log_scales) > LARGEST_LOG)
-            & (np.abs(gaussians.log_scales) <= LARGEST_LOG)).any()
-    if lost or not (far < SINGLE.max).all():
-        raise InputError(f"{result.count:,} gaussians: after this --scale, --rotate and "
+    matrix = np.eye(3) if rotation is None else np.asarray(rotation, np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):  # the result is checked
+        moved = gaussians.without_spheres().scaled(scale)
+        rows = dict(moved.rows)
+        if rotation is not None:
+            rows["positions"] = (moved.positions.astype(np.float64) @ matrix.T).astype(np.float32)
+            x, y, z, w = Rotation.from_matrix(matrix).as_quat()
+            left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+            rows["quaternions"] = (moved.quaternions.astype(np.float64) @ left.T).astype(np.float32)
+            rows["sh_rest"] = rotated(moved.sh_rest, matrix)
+        offset = scale * matrix @ gaussians.offset + np.asarray(translation, np.float64)
+        far = np.abs(rows["positions"].astype(np.float64)).max(axis=0, initial=0.0) + np.abs(offset)
+    before, after = (np.abs(scales) > LARGEST_LOG
+                     for scales in (gaussians.log_scales, rows["log_scales"]))
+    if (after & ~before).any() or not (far < SINGLE.max).all():
+        raise InputError(f"{gaussians.count:,} gaussians: after this --scale, --rotate and "
                          f"--translate coordinates or sizes are beyond {SINGLE.tiny:.0e} to "
                          f"{SINGLE.max:.0e}, which single precision holds; give numbers nearer to 1"
                          )
-    return result
-
-
-def _moved(gaussians: Gaussians, scale: float, rotation: ArrayLike | None,
-           translation: ArrayLike) -> Gaussians:
-    matrix = np.eye(3) if rotation is None else np.asarray(rotation, np.float64)
-    moved = gaussians.without_spheres()
-    if scale != 1:
-        moved = moved.scaled(scale)
-    rows = dict(moved.rows)
-    if rotation is not None:
-        rows["positions"] = (moved.positions.astype(np.float64) @ matrix.T).astype(np.float32)
-        x, y, z, w = Rotation.from_matrix(matrix).as_quat()
-        left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-        rows["quaternions"] = (moved.quaternions.astype(np.float64) @ left.T).astype(np.float32)
-        rows["sh_rest"] = rotated(moved.sh_rest, matrix)
-    offset = scale * matrix @ gaussians.offset + np.asarray(translation, np.float64)
     return Gaussians(rows, moved.sh_degree, offset)
 
 

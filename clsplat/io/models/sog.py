@@ -40,9 +40,9 @@ from clsplat.io.unpack import check_expansion, check_rows, opened_archive
 META, ORIGIN, KIND = "meta.json", "clsplat_origin", "a SOG file of version 2"
 MEANS, SCALES, QUATERNIONS, COLOURS, HARMONICS = "means", "scales", "quats", "sh0", "shN"
 # the textures of each part; harmonics may be missing
-TEXTURES = {MEANS: ("means_l.webp", "means_u.webp"), SCALES: ("scales.webp",),
-            QUATERNIONS: ("quats.webp",), COLOURS: ("sh0.webp",)}
-HARMONIC_TEXTURES = ("shN_centroids.webp", "shN_labels.webp")
+TEXTURES = {MEANS: ["means_l.webp", "means_u.webp"], SCALES: ["scales.webp"],
+            QUATERNIONS: ["quats.webp"], COLOURS: ["sh0.webp"],
+            HARMONICS: ["shN_centroids.webp", "shN_labels.webp"]}
 BANDS = {0: 0, 1: 3, 2: 8, 3: 15}  # harmonics above the constant, by their degree
 DATE = (1980, 1, 1, 0, 0, 0)  # of every member, so that equal models give equal bytes
 COMPONENT_STEPS = Steps(255 / 2**0.5, 127.5)  # of a quaternion
@@ -74,28 +74,25 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     scales, scale_labels = _codebook(rows["log_scales"])
     colours, colour_labels = _codebook(rows["sh_constant"])
     opacity = OPACITY_STEPS.bytes(opacities(gaussians)[order])
-    meta: dict[str, Any] = {
-        "version": 2, "asset": {"generator": "clsplat"}, "count": gaussians.count,
-        "antialias": notes.antialiased,
-        MEANS: {"mins": low.tolist(), "maxs": high.tolist()},
-        SCALES: {"codebook": scales.astype(np.float32).tolist()}, QUATERNIONS: {},
-        COLOURS: {"codebook": colours.astype(np.float32).tolist()}}
-    if origin.any():
-        meta[ORIGIN] = origin.tolist()
-    parts = {MEANS: (steps & 255, steps >> 8), SCALES: (scale_labels,),
-             QUATERNIONS: (np.column_stack([COMPONENT_STEPS.bytes(others), FIRST_TAG + largest]),),
-             COLOURS: (np.column_stack([colour_labels, opacity]),)}
-    textures = {name: _texture(values) for part, names in TEXTURES.items()
-                for name, values in zip(names, parts[part])}
-    for part, names in TEXTURES.items():
-        meta[part]["files"] = list(names)
+    # the record and the textures of each
+    parts: dict[str, tuple[dict[str, Any], list[NDArray[np.uint8]]]] = {
+        MEANS: ({"mins": low.tolist(), "maxs": high.tolist()},
+                [_texture(steps & 255), _texture(steps >> 8)]),
+        SCALES: ({"codebook": scales}, [_texture(scale_labels)]),
+        QUATERNIONS: ({}, [_texture(np.column_stack(
+            [COMPONENT_STEPS.bytes(others), FIRST_TAG + largest]))]),
+        COLOURS: ({"codebook": colours}, [_texture(np.column_stack([colour_labels, opacity]))])}
     if rows["sh_rest"].any():
-        meta[HARMONICS], pixels = _harmonics(rows["sh_rest"], gaussians.sh_degree)
-        textures.update(zip(HARMONIC_TEXTURES, pixels))
+        parts[HARMONICS] = _harmonics(rows["sh_rest"], gaussians.sh_degree)
+    meta = {"version": 2, "asset": {"generator": "clsplat"}, "count": gaussians.count,
+            "antialias": notes.antialiased,
+            **{part: {**record, "files": TEXTURES[part]} for part, (record, _) in parts.items()},
+            **({ORIGIN: origin.tolist()} if origin.any() else {})}
     with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
         archive.writestr(zipfile.ZipInfo(META, DATE), json.dumps(meta))
-        for name, texture in textures.items():
-            archive.writestr(zipfile.ZipInfo(name, DATE), encode_webp(texture))
+        for part, (_, textures) in parts.items():
+            for name, texture in zip(TEXTURES[part], textures):
+                archive.writestr(zipfile.ZipInfo(name, DATE), encode_webp(texture))
 
 
 def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, Notes]:
@@ -117,8 +114,8 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
         count = meta["count"]
         if type(count) is not int or count < 0:
             raise ValueError("count is not a number of gaussians")
-        contents = [read(name) for part in TEXTURES
-                    for name in _files(meta, part, len(TEXTURES[part]))]
+        contents = [read(name) for part in (MEANS, SCALES, QUATERNIONS, COLOURS)
+                    for name in _files(meta, part)]
         degree = meta.get(HARMONICS, {}).get("bands", 0)
         check_rows(sum(map(len, contents)), count, BANDS[degree])
         lower, upper, scales, quaternions, colours = (
@@ -141,17 +138,17 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
                 Notes((MIP,) if meta.get("antialias") else ()))
 
 
-def _files(meta: dict[str, Any], part: str, number: int) -> list[str]:
+def _files(meta: dict[str, Any], part: str) -> list[str]:
     """The names of the textures of a part."""
-    files = meta[part]["files"]
+    files, number = meta[part]["files"], len(TEXTURES[part])
     if not isinstance(files, list) or len(files) != number:
         raise ValueError(f"{part} has not {number} textures")
     return files
 
 
 def _harmonics(sh_rest: NDArray[np.float64], degree: int
-               ) -> tuple[dict[str, Any], tuple[NDArray[np.uint8], ...]]:
-    """The entry of the meta data for harmonics [N, bands, 3], and their textures."""
+               ) -> tuple[dict[str, Any], list[NDArray[np.uint8]]]:
+    """The record of harmonics [N, bands, 3], and their textures."""
     count, bands = sh_rest.shape[:2]
     most = min(MOST_COLOURS, max(FEWEST_COLOURS, count // GAUSSIANS_A_COLOUR))
     chosen, labels = _palette(sh_rest.reshape(count, -1), most)
@@ -160,10 +157,9 @@ def _harmonics(sh_rest: NDArray[np.float64], degree: int
     pixels = np.zeros((lines * PALETTE_COLUMNS, bands, 4), np.uint8)
     pixels[..., 3] = 255
     pixels[:len(chosen), :, :3] = numbers.reshape(-1, bands, 3)
-    meta = {"count": len(chosen), "bands": degree, "codebook": codes.astype(np.float32).tolist(),
-            "files": list(HARMONIC_TEXTURES)}
-    return meta, (pixels.reshape(lines, PALETTE_COLUMNS * bands, 4),
-                  _texture(np.stack([labels & 255, labels >> 8, 0 * labels], 1)))
+    return ({"count": len(chosen), "bands": degree, "codebook": codes},
+            [pixels.reshape(lines, PALETTE_COLUMNS * bands, 4),
+             _texture(np.stack([labels & 255, labels >> 8, 0 * labels], 1))])
 
 
 def _read_harmonics(meta: dict[str, Any], read: Callable[[str], bytes], count: int
@@ -173,7 +169,7 @@ def _read_harmonics(meta: dict[str, Any], read: Callable[[str], bytes], count: i
         return np.zeros((count, 0, 3))
     part = meta[HARMONICS]
     bands = BANDS[part["bands"]]
-    pixels, labels = (_decoded(read(name)) for name in _files(meta, HARMONICS, 2))
+    pixels, labels = (_decoded(read(name)) for name in _files(meta, HARMONICS))
     if pixels.shape[1] != PALETTE_COLUMNS * bands:
         raise ValueError(f"its palette is {pixels.shape[1]} pixels wide")
     numbers = _pixels(labels, count)
@@ -205,12 +201,12 @@ def _codes(part: dict[str, Any]) -> NDArray[np.float64]:
     return np.pad(codes, (0, 256 - len(codes)))
 
 
-def _codebook(values: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """float64[256], ascending, numbers that stand for all values with little squared error (Lloyd's
+def _codebook(values: NDArray[np.floating]) -> tuple[list[float], NDArray[np.uint8]]:
+    """256 numbers, ascending, that stand for all values with little squared error (Lloyd's
     algorithm), and uint8[...], which of them stands for each value."""
     ordered = np.sort(values.ravel().astype(np.float64))
     if not len(ordered):
-        return np.zeros(CODEBOOK), np.zeros(values.shape, np.uint8)
+        return CODEBOOK * [0.0], np.zeros(values.shape, np.uint8)
     sums = np.concatenate([[0], np.cumsum(ordered)])
     # half of the first numbers follow how many values there are, half how far they reach
     ranks = np.linspace(0, len(ordered) - 1, CODEBOOK // 2).astype(int)
@@ -223,7 +219,7 @@ def _codebook(values: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArra
         centres = np.where(count > 0, np.diff(sums[cuts]) / np.maximum(count, 1), centres)
         centres = np.maximum.accumulate(centres)  # rounding of the sums may swap neighbours
     labels = np.searchsorted((centres[1:] + centres[:-1]) / 2, values)
-    return centres, labels.astype(np.uint8)
+    return centres.astype(np.float32).tolist(), labels.astype(np.uint8)
 
 
 def _palette(rows: NDArray[np.floating], most: int) -> tuple[NDArray[np.float32], NDArray[np.intp]]:

@@ -16,7 +16,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from io import BufferedReader, BufferedWriter
+from io import BufferedWriter
 from pathlib import Path
 from typing import Any
 
@@ -101,7 +101,17 @@ class Tree:
         with reading(path, KIND, CURE):
             # it stays open: a tree that replaces this one does not change what is read
             self._file = open(path, "rb")  # noqa: SIM115
-            record, self.nodes = _index(self._file)
+            magic, place, length, crc = HEADER.unpack(self._file.read(HEADER.size))
+            if magic != MAGIC or place + length != os.fstat(self._file.fileno()).st_size:
+                raise ValueError("its header is that of another format or size")
+            self._file.seek(place)
+            index = self._file.read(length)
+            if zlib.crc32(index) != crc:
+                raise ValueError("its index has another checksum")
+            line, _, table = index.partition(b"\n")
+            record, self.nodes = object_of(line), np.frombuffer(table, NODE)
+            if not len(self.nodes):
+                raise ValueError("it has no nodes")
             self.sh_degree = int(record["sh_degree"])
             self.offset = np.array(record["offset"], np.float64).reshape(3)
         self.is_leaf = ~np.isin(np.arange(len(self.nodes)), self.nodes["parent"])
@@ -123,25 +133,3 @@ class Tree:
 def row_bytes(sh_degree: int) -> int:
     """Bytes of a gaussian in the file."""
     return 4 * sum(field.width(sh_degree) for field in LEARNED)
-
-
-def _index(file: BufferedReader) -> tuple[dict[str, Any], NDArray[Any]]:
-    """The record and the nodes of a file, which fit each other and its size."""
-    magic, place, length, crc = HEADER.unpack(file.read(HEADER.size))
-    size = os.fstat(file.fileno()).st_size
-    if magic != MAGIC or place + length != size:
-        raise ValueError("its header is that of another format or size")
-    file.seek(place)
-    index = file.read(length)
-    if zlib.crc32(index) != crc:
-        raise ValueError("its index has another checksum")
-    line, _, table = index.partition(b"\n")
-    record, nodes = object_of(line), np.frombuffer(table, NODE)
-    if not len(nodes) or len(nodes) != record["nodes"]:
-        raise ValueError("it has no nodes")
-    ends = nodes["place"].astype(np.float64) + row_bytes(record["sh_degree"]) * nodes["count"]
-    parents, behind = nodes["parent"].astype(np.int64), np.arange(1, len(nodes))
-    if (record["sh_degree"] not in range(4) or (ends > size).any() or parents[-1] != NO_PARENT
-            or (parents[:-1] < behind).any() or (parents[:-1] >= len(nodes)).any()):
-        raise ValueError("its index does not fit")
-    return record, nodes
