@@ -4,10 +4,9 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsplat.device import Device
 from clsplat.estimate.trial_steps import TrialSteps, sampled
@@ -18,37 +17,6 @@ from clsplat.training.session import Session
 from clsplat.training.start.prepare import prepare
 
 STREAM = 16  # steps that are enqueued without waiting: few enough for any driver's queue
-
-
-class Finishes(Protocol):
-    """A device, or a renderer on one."""
-
-    def finish(self) -> None:
-        """Wait for all its work."""
-
-
-def in_turn(tasks: Sequence[tuple[Finishes, Callable[[], object]]], repeats: int,
-            warm_up: int = 3) -> NDArray[np.float64]:
-    """Wall times of several functions on their devices, float64[len(tasks), repeats], milliseconds.
-
-    They run one after the other in each round, so that other work on the machine disturbs all of
-    them alike.
-    """
-    times = np.empty((len(tasks), warm_up + repeats))
-    for turn in range(warm_up + repeats):
-        for number, (device, function) in enumerate(tasks):
-            start = time.perf_counter()
-            function()
-            device.finish()
-            times[number, turn] = (time.perf_counter() - start) * 1e3
-    return times[:, warm_up:]
-
-
-def spread(times: NDArray[np.float64]) -> dict[str, Any]:
-    """The fields median_ms, quartiles_ms (lower, upper) and repeats of a record."""
-    low, median, high = np.percentile(times, (25, 50, 75))
-    return {"median_ms": round(float(median), 4),
-            "quartiles_ms": [round(float(low), 4), round(float(high), 4)], "repeats": len(times)}
 
 
 def time_steps(device: Device, scene: Path, count: int, profile: bool, **options: Any
@@ -64,9 +32,10 @@ def time_steps(device: Device, scene: Path, count: int, profile: bool, **options
 
     Returns
     -------
-    The fields of `spread`, of steps that are waited for one by one; host_ms, until a step is
-    enqueued where nothing is waited for, and stream_ms, until the device has done it; launches,
-    waits and allocations of such a step; device_mib; and kernels_ms by function, of a profile.
+    median_ms, quartiles_ms (lower, upper) and repeats of steps that are waited for one by one;
+    host_ms, until a step is enqueued where nothing is waited for, and stream_ms, until the device
+    has done it; launches, waits and allocations of such a step; device_mib; and kernels_ms by
+    function, of a profile.
     """
     prepared = prepare(read_scene(scene), resolve({}, {
         "max_resolution": 0, "exposure": "off", "engine": "device", "sphere": False, **options}))
@@ -74,25 +43,27 @@ def time_steps(device: Device, scene: Path, count: int, profile: bool, **options
     gaussians = sampled(prepared.scene, count or len(prepared.scene.points), 3)
     device.trim()
     trial = TrialSteps(Session(prepared, device, gaussians, photos=Photos(device, views)))
-    session, turns = trial.session, itertools.cycle(
-        [trial.prepare(index) for index in range(len(views))])
-
-    def one() -> None:
-        next(turns)()
-
-    times = in_turn([(trial, one)], len(views), warm_up=len(views))[0]
-    streamed = _streamed(trial, one, max(1, len(views) // STREAM))
+    session, steps = trial.session, [trial.prepare(index) for index in range(len(views))]
+    times = []
+    for step in (*steps, *steps):  # the first round compiles kernels and fills the pool
+        start = time.perf_counter()
+        step()
+        trial.finish()
+        times.append((time.perf_counter() - start) * 1e3)
+    low, median, high = np.percentile(times[len(steps):], (25, 50, 75)).round(4).tolist()
+    streamed = _streamed(trial, steps)
     splats = [session.renderer.count_splats(session.model.rows, camera)
               for camera in session.cameras]
     width, height = views[0].camera.width, views[0].camera.height
     record = {"scene": prepared.scene.name, "device": device.name, "form": device.form,
               "gaussians": session.model.count, "visible": round(np.mean(splats)), "width": width,
-              "height": height, **spread(times), **streamed,
+              "height": height, "median_ms": median, "quartiles_ms": [low, high],
+              "repeats": len(steps), **streamed,
               "device_mib": device.memory_bytes >> 20}
     if profile:
         with device.profile() as kernels:
-            for _ in views:
-                one()
+            for step in steps:
+                step()
         record["kernels_ms"] = {name: round(sum(seconds) / len(views) * 1e3, 4) for name, seconds in
                                 sorted(kernels.items(), key=lambda kernel: -sum(kernel[1]))}
     return record
@@ -105,21 +76,16 @@ def table(record: dict[str, Any]) -> str:
         "kernels_ms", {}).items())])
 
 
-def _streamed(trial: TrialSteps, one: Callable[[], object], rounds: int) -> dict[str, float]:
-    """Take STREAM steps several times without waiting between them.
-
-    Returns
-    -------
-    host_ms : of a step, until it was enqueued; the median.
-    stream_ms : of a step, until the device had done it; the median.
-    launches, waits, allocations : of a step, by the device's counters.
-    """
+def _streamed(trial: TrialSteps, steps: Sequence[Callable[[], object]]) -> dict[str, float]:
+    """host_ms, stream_ms (medians), launches, waits and allocations of a step, where STREAM steps
+    are taken several times without waiting between them."""
+    rounds, turns = max(1, len(steps) // STREAM), itertools.cycle(steps)
     device, times = trial.session.device, np.empty((rounds, 2))
     before = device.launches, device.waits, device.allocations
     for number in range(rounds):
         start = time.perf_counter()
         for _ in range(STREAM):
-            one()
+            next(turns)()
         enqueued = time.perf_counter()
         trial.finish()
         times[number] = enqueued - start, time.perf_counter() - start

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import weakref
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -191,19 +190,3 @@ def block_bytes(size: int) -> int:
     """The size of a block for `size` bytes: four sizes an octave, as these change with views."""
     unit = 1 << max(0, size.bit_length() - 3)  # a quarter of the leading bit
     return -(-size // unit) * unit
-
-
-class LiveBytes:
-    """Counts the bytes of arrays that are still alive, without a list of them: there may be
-    thousands."""
-
-    def __init__(self) -> None:
-        self.nbytes = 0
-
-    def add(self, array: Array) -> None:
-        """Count an array for as long as it lives."""
-        self.nbytes += array.nbytes
-        weakref.finalize(array, self._drop, array.nbytes).atexit = False
-
-    def _drop(self, nbytes: int) -> None:
-        self.nbytes -= nbytes

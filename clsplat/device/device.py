@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -15,7 +16,7 @@ import pyopencl as cl
 import pyopencl.tools
 from numpy.typing import ArrayLike, DTypeLike
 
-from clsplat.device.array import Arena, Array, Block, LiveBytes
+from clsplat.device.array import Arena, Array, Block
 from clsplat.device.capabilities import probe_capabilities, probe_wave, tuning_of
 from clsplat.device.graph import Graph
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Defines, Kernel
@@ -79,7 +80,7 @@ class Device:
         self.tile = tuning["tile"] if self.form == "item" or most_items >= tuning["tile"]**2 else 8
         # an immediate allocation fails now, and not at a launch
         self._pool = Arena(cl.tools.ImmediateAllocator(self.queue))
-        self._persistent = LiveBytes()
+        self._persistent_bytes = 0  # of the arrays that are still alive
         self.peak_bytes = 0
         self._kernels: dict[tuple[Kernel, Defines, Defines], cl.Kernel] = {}
         self._programs: dict[tuple[str, Defines], Build] = {}
@@ -103,7 +104,7 @@ class Device:
     @property
     def memory_bytes(self) -> int:
         """Device memory that persistent arrays and the blocks of short-lived ones use now."""
-        used: int = self._pool.managed_bytes + self._persistent.nbytes
+        used: int = self._pool.managed_bytes + self._persistent_bytes
         self.peak_bytes = max(self.peak_bytes, used)
         return used
 
@@ -138,9 +139,14 @@ class Device:
     def allocate(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
         """An uninitialised persistent Array, of its exact size."""
         array = self._new(shape, dtype, self._new_buffer)
-        self._persistent.add(array)
+        self._persistent_bytes += array.nbytes
+        # without a list of the arrays, of which there may be thousands
+        weakref.finalize(array, self._freed, array.nbytes).atexit = False
         self.peak_bytes = max(self.peak_bytes, self.memory_bytes)
         return array
+
+    def _freed(self, nbytes: int) -> None:
+        self._persistent_bytes -= nbytes
 
     def _new(self, shape: Shape, dtype: DTypeLike | None,
              allocate: Callable[[int], Any]) -> Array:

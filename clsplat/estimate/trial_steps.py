@@ -116,8 +116,8 @@ def sized(gaussians: Gaussians, renderer: Renderer, cameras: Sequence[Camera]) -
         rows["log_scales"].write(log_scales)
         pairs, target = 0, 0.0
         for camera, on_device in zip(cameras, packed):
-            splats, count = renderer.count(rows, on_device, camera.width, camera.height)
-            pairs += count
+            splats, counts = renderer.measure(rows, on_device, camera.width, camera.height)
+            pairs += int(counts.sum())
             tiles = camera.width * camera.height / renderer.device.tile**2
             target += PAIRS_A_SPLAT * splats + PAIRS_A_TILE * tiles
         low, high = (low, middle) if pairs > target else (middle, high)

@@ -15,12 +15,7 @@ from clsplat.constants import (
     VIGNETTING_TERMS,
 )
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
-from clsplat.rendering.blend import (
-    RESPONSE,
-    Defines,
-    Exposure,
-    Vignetting,
-)
+from clsplat.rendering.blend import RESPONSE, Defines, Exposure, Vignetting
 from clsplat.response import Lenses, Response
 
 IDENTITY = np.eye(3, 4)
@@ -66,17 +61,6 @@ class Exposures:
     skipped : uint[1], steps that were left out because their gradient was not finite.
     """
 
-    transforms: Array
-    m: Array
-    v: Array
-    steps: Array
-    lens_of: Array
-    lenses: Array
-    lens_m: Array
-    lens_v: Array
-    lens_steps: Array
-    skipped: Array
-
     def __init__(self, device: Device, views: int, rate: float = 1e-3, pull: float = 0.01,
                  initial: NDArray[np.float64] | None = None, learns: bool = True,
                  lenses: Lenses | None = None) -> None:
@@ -112,7 +96,8 @@ class Exposures:
         """
         device, (_, height, width) = self.device, image.shape
         blocks = -(-width * height // EXPOSURE_BLOCK)
-        partials = device.empty((blocks, _sums(self.has_vignetting)))
+        sums = TRANSFORM_REALS + VIGNETTING_TERMS * self.has_vignetting
+        partials = device.empty((blocks, sums))
         grad_image = device.empty(image.shape)
         device.launch(ADJOINT, (("WITH_RESPONSE", 1), *self._defines), pixels=width * height,
                       width=width, blocks=blocks, view=view, transforms=self.transforms,
@@ -189,8 +174,3 @@ class Exposures:
     @property
     def _learned(self) -> tuple[str, ...]:
         return LEARNED + LEARNED_VIGNETTING * self.has_vignetting
-
-
-def _sums(vignetting: bool) -> int:
-    """Numbers whose gradients are summed."""
-    return TRANSFORM_REALS + VIGNETTING_TERMS * vignetting

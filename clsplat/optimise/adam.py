@@ -10,6 +10,7 @@ step.
 
 import math
 from collections.abc import Callable, Mapping
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,8 @@ HostArrays = dict[str, NDArray[np.floating]]  # field name -> [N, *row shape]
 POSITION_DECAY = 0.01  # share of the rate of positions left at the last step (Kerbl et al. 2023)
 
 SMALL = tuple(field for field in LEARNED if field.name != "sh_rest")  # fields of the small columns
+_COLUMNS = {field.name: slice(end - field.width(0), end) for field, end in zip(
+    SMALL, accumulate(field.width(0) for field in SMALL))}
 _SMALL_MOMENTS = dict(m=("real", "N", SMALL_COLUMNS), v=("real", "N", SMALL_COLUMNS))
 _ROWS = dict(
     positions=("real", "N", 3), sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3),
@@ -71,10 +74,6 @@ def corrections(step: int) -> tuple[float, float]:
     """The bias corrections 1 / (1 - beta1^t) and 1 / sqrt(1 - beta2^t) of step t, from 1."""
     beta1, beta2 = 1 - ONE_MINUS_BETA1, 1 - ONE_MINUS_BETA2
     return 1 / (1 - beta1**step), 1 / float(np.sqrt(1 - beta2**step))
-
-
-def _defines(harmonics: int, degree: int) -> tuple[tuple[str, int], ...]:
-    return ("SH_REST", harmonics), ("DEGREE", degree)
 
 
 class DeviceAdam:
@@ -168,17 +167,6 @@ class DeviceAdam:
             self._coast(rows(), frozen, None, True, step, degree, counts)
             self.is_current = True
 
-    def step(self, rows: Mapping[str, Array], gradients: Gradients, step: int,
-             rates: Mapping[str, float], used: Mapping[str, int],
-             frozen: Array | None = None) -> None:
-        """Take step number `step` with learning rates by field: `apply` and `advance`.
-
-        Where the engine is dense, rows that the gradients do not have are left for later, and the
-        rows that they have must have caught up with the step before.
-        """
-        self.apply(rows, gradients, self.numbers(step, rates), used)
-        self.advance(step, _degree_of(used), lambda: rows, frozen, gradients.counts)
-
     def catch_up(self, rows: Mapping[str, Array], frozen: Array | None = None) -> None:
         """Move all rows that lag behind the last step.
 
@@ -208,7 +196,7 @@ class DeviceAdam:
             **self._state_of(rows))
 
     def _defines(self, degree: int) -> tuple[tuple[str, int], ...]:
-        return _defines(self.harmonics, degree)
+        return ("SH_REST", self.harmonics), ("DEGREE", degree)
 
     def _state_of(self, rows: Mapping[str, Array]) -> dict[str, Array]:
         """Rows and moments by the names that they have in the kernels."""
@@ -238,16 +226,10 @@ class DeviceAdam:
         self.is_current = True
 
     def reset(self, name: str) -> None:
-        """Set the moments of one field to 0."""
-        if name == "sh_rest":
-            for moments in (self._m, self._v):
-                moments["rest"].fill(0)
-            return
-        begin = _begin(name)
-        width = next(field.width(0) for field in SMALL if field.name == name)
-        m, v = self._m["small"], self._v["small"]
-        self.device.launch(CLEAR, self._defines(0), count=len(m), begin=begin, end=begin + width,
-                           m=m, v=v)
+        """Set the moments of one field, not sh_rest, to 0."""
+        m, v, columns = self._m["small"], self._v["small"], _COLUMNS[name]
+        self.device.launch(CLEAR, self._defines(0), count=len(m), begin=columns.start,
+                           end=columns.stop, m=m, v=v)
 
     def download(self) -> tuple[HostArrays, HostArrays]:
         """m and v in host memory, by field, each row after its last step."""
@@ -256,7 +238,7 @@ class DeviceAdam:
         count = len(small[0])
         return tuple({  # type: ignore[return-value]  # two of them
             field.name: others.reshape(count, self.harmonics, 3) if field.name == "sh_rest" else
-            np.ascontiguousarray(columns[:, _begin(field.name):][:, :field.width(0)]).reshape(
+            np.ascontiguousarray(columns[:, _COLUMNS[field.name]]).reshape(
                 count, *field.row_shape(0))
             for field in LEARNED} for columns, others in zip(small, rest))
 
@@ -285,12 +267,6 @@ class DeviceAdam:
         for name in ("last_step", "coefficients"):
             self._others[name].write(arrays[name])
         self.steps, self.is_current = step, bool(arrays["is_current"][0])
-
-
-def _begin(name: str) -> int:
-    """The first of a field's columns among the small ones."""
-    names = [field.name for field in SMALL]
-    return sum(field.width(0) for field in SMALL[:names.index(name)])
 
 
 def _degree_of(used: Mapping[str, int]) -> int:

@@ -57,13 +57,6 @@ class NumpyAdam:
         """As `DeviceAdam.advance`."""
         self.steps = step
 
-    def step(self, rows: Mapping[str, Array], gradients: Gradients, step: int,
-             rates: Mapping[str, float], used: Mapping[str, int],
-             frozen: Array | None = None) -> None:
-        """As `DeviceAdam.step`."""
-        self.apply(rows, gradients, self.numbers(step, rates), used, frozen)
-        self.steps = step
-
     def apply(self, rows: Mapping[str, Array], gradients: Gradients, numbers: Mapping[str, float],
               used: Mapping[str, int], frozen: Array | None = None) -> None:
         """As `DeviceAdam.apply`, but waits, and moves all rows where the engine is dense; `frozen`,

@@ -50,13 +50,6 @@ class Poses:
     corrected : real[27], the packed camera of the view at hand.
     """
 
-    poses: Array
-    m: Array
-    v: Array
-    steps: Array
-    skipped: Array
-    corrected: Array
-
     def __init__(self, device: Device, cameras: Sequence[Camera], depth: float,
                  pull: float = PULL) -> None:
         self.device, self.cameras, self.depth, self.pull = device, cameras, depth, pull
@@ -78,7 +71,7 @@ class Poses:
         not finite changes nothing, and is counted in `skipped`; a failed frame changes nothing.
         """
         rows = len(pose_terms)
-        blocks = _blocks(rows)
+        blocks = max(1, -(-rows // POSE_BLOCK))
         partials = self.device.empty((blocks, POSE_REALS))
         self.device.launch(SUMS, rows=rows, blocks=blocks, counts=counts, pose_terms=pose_terms,
                            partials=partials)
@@ -119,7 +112,3 @@ def pose_rate(progress: float) -> float:
     which decays exponentially."""
     after = (progress - WARM_UP) / (1 - WARM_UP)
     return float(RATE * DECAY**min(1.0, after)) if after >= 0 else 0.0
-
-
-def _blocks(rows: int) -> int:
-    return max(1, -(-rows // POSE_BLOCK))

@@ -2,7 +2,6 @@
 
 from clsplat.constants import FRAME_COUNTS, SPLAT_REALS
 from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
-from clsplat.rendering.bin import Pairs
 from clsplat.rendering.pipeline import Frame
 
 COLUMNS = 4  # pixels, weight, weighted image, distance
@@ -33,26 +32,17 @@ def contribution(device: Device, frame: Frame, weights: Array) -> Array:
     number of pixels, alpha T, alpha T times the weight, and the distance from the splat's mean in
     pixels.
     """
-    totals = None
-    for band in frame.bands:
-        totals = _add_band(device, frame, frame.pairs_of(band), weights, totals)
-    assert totals is not None  # an image has at least one band
-    return totals
-
-
-def _add_band(device: Device, frame: Frame, pairs: Pairs, weights: Array, totals: Array | None
-              ) -> Array:
     width, height = frame.size
-    splats = frame.splats
-    sums = device.empty((pairs.count, COLUMNS))
-    device.launch(CONTRIBUTION, width=width, height=height, tiles_x=pairs.tiles_x,
-                  first_tile=pairs.tiles.start, ranges=pairs.ranges,
-                  sorted_splats=pairs.sorted_splats, emission_indices=pairs.emission_indices,
-                  splats=splats, last_contributor=frame.blended.last_contributor, weights=weights,
-                  sums=sums)
-    carried = totals is not None
-    if totals is None:
-        totals = device.empty((len(splats), COLUMNS))
-    device.launch(SUM, carried=carried, counts=pairs.counts,
-                  splat_counts=pairs.splat_counts, offsets=pairs.offsets, sums=sums, totals=totals)
+    totals = device.empty((len(frame.splats), COLUMNS))
+    for number, band in enumerate(frame.bands):
+        pairs = frame.pairs_of(band)
+        sums = device.empty((pairs.count, COLUMNS))
+        device.launch(CONTRIBUTION, width=width, height=height, tiles_x=pairs.tiles_x,
+                      first_tile=pairs.tiles.start, ranges=pairs.ranges,
+                      sorted_splats=pairs.sorted_splats, emission_indices=pairs.emission_indices,
+                      splats=frame.splats, last_contributor=frame.blended.last_contributor,
+                      weights=weights, sums=sums)
+        device.launch(SUM, carried=number > 0, counts=pairs.counts,
+                      splat_counts=pairs.splat_counts, offsets=pairs.offsets, sums=sums,
+                      totals=totals)
     return totals

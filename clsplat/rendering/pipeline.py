@@ -233,11 +233,6 @@ class Renderer:
         splats, _ = project(device, rows, visible, counts, camera, 0, self._project_defines)
         return len(visible), count_tiles(device, splats, counts, width, height)
 
-    def count(self, rows: Rows, camera: Array, width: int, height: int) -> tuple[int, int]:
-        """How many splats and pairs `render` would have; waits."""
-        visible, tiles = self.measure(rows, camera, width, height)
-        return visible, int(tiles.sum())
-
     def count_splats(self, rows: Rows, camera: Array) -> int:
         """How many splats `render` would have."""
         return len(self._visible(rows, camera, new_counts(self.device)))

@@ -44,8 +44,8 @@ def unstable_lists(*arguments):
 
 
 class WithoutCorrection(DeviceAdam):
-    def step(self, rows, gradients, step, *rest):
-        super().step(rows, gradients, 1000, *rest)
+    def numbers(self, step, rates):
+        return super().numbers(1000, rates)
 
 
 class CountsTwice(Statistics):

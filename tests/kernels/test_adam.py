@@ -2,6 +2,8 @@
 
 What rows miss while no view sees them is in test_lazy_adam.py."""
 
+from math import isqrt
+
 import numpy as np
 import pytest
 
@@ -25,6 +27,13 @@ DENSE = pytest.mark.parametrize("dense", [False, True], ids=["sparse", "dense"])
 def random_rows(count, rng):
     return {field.name: rng.normal(size=(count, *field.row_shape(DEGREE))).astype(np.float32)
             .astype(float) for field in LEARNED}
+
+
+def take_step(engine, rows, gradients, step, rates, used, frozen=None):
+    """A step of an engine, whose rows with a gradient have caught up with the step before."""
+    engine.apply(rows, gradients, engine.numbers(step, rates), used, frozen)
+    degree = isqrt(used["sh_rest"] // 3 + 1) - 1
+    engine.advance(step, degree, lambda: rows, frozen, gradients.counts)
 
 
 class Run:
@@ -70,7 +79,7 @@ class Run:
                               new_counts(self.device, seen))
         self.engine.catch_up(self.rows, self.frozen)
         self.frozen = frozen
-        self.engine.step(self.rows, gradients, self.steps, RATES, used, frozen)
+        take_step(self.engine, self.rows, gradients, self.steps, RATES, used, frozen)
 
     def check(self, what=""):
         precision = precision_of(self.device)

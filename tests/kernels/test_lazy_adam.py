@@ -11,6 +11,7 @@ from clsplat.primitives.compact import new_counts
 from clsplat.rendering.cull import cull
 from clsplat.rendering.project import FieldGradients, Gradients, pack_camera
 from tests.kernels.chain import precision_of
+from tests.kernels.test_adam import take_step
 from tests.reference.adam import adam
 from tests.reference.project import harmonics
 
@@ -108,8 +109,8 @@ class Lazy:
             stored = FieldGradients(self.device, stored, upload(colours), upload(directions), K,
                                     (("SH_REST", K), ("ANTIALIASED", 0), ("DEGREE", DEGREE)),
                                     counts)
-        self.engine.step(self.rows, Gradients(stored, None, upload(rows), upload(visible), counts),
-                         self.steps, rates, used, self.frozen)
+        gradients = Gradients(stored, None, upload(rows), upload(visible), counts)
+        take_step(self.engine, self.rows, gradients, self.steps, rates, used, self.frozen)
 
     def check(self, rows):
         bound, single = BOUND[precision_of(self.device)], np.finfo(self.device.real).eps
@@ -216,7 +217,7 @@ def coasted(device, begun, missed, scale):
     m, v = m["opacity_logits"], v["opacity_logits"]
     for step in range(begun + 1, begun + missed + 1):
         expected, m, v = adam(expected, np.zeros(1), m, v, step, RATES["opacity_logits"])
-        run.engine.step(run.rows, nothing, step, RATES, USED)
+        take_step(run.engine, run.rows, nothing, step, RATES, USED)
     run.engine.catch_up(run.rows)
     return run.rows["opacity_logits"].download()[0], expected[0]
 

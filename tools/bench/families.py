@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from clsplat.bench.step import in_turn, spread
 from clsplat.camera import Camera
 from clsplat.constants import CATCH_UP_EVERY, LAZY_TERMS, POSE_REALS
 from clsplat.device import Device
@@ -42,6 +41,7 @@ from clsplat.response import Lenses
 from clsplat.stereo import dense_points
 from clsplat.stereo import sweep as sweeping
 from clsplat.training.frequency import scene_frequency
+from tools.bench.timing import in_turn, spread
 from tools.bench.workloads import DEFINES, CityFrame, ring_camera
 
 USED = {field.name: field.width(3) for field in LEARNED}

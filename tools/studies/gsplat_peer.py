@@ -13,10 +13,10 @@ import gsplat
 import numpy as np
 import torch
 
-from clsplat.bench.step import in_turn, spread
 from clsplat.device import choose_device
 from tools.bench.families import counts
 from tools.bench.render import Clsplat
+from tools.bench.timing import in_turn, spread
 from tools.bench.workloads import city
 
 

@@ -21,7 +21,6 @@ from pathlib import Path
 
 import numpy as np
 
-from clsplat.bench.step import in_turn
 from clsplat.densify.sphere import with_spheres
 from clsplat.device import choose_device
 from clsplat.errors import InputError
@@ -33,6 +32,7 @@ from clsplat.report.page import Table
 from clsplat.training.photos import Photos
 from clsplat.training.session import Session
 from clsplat.training.start.prepare import prepare
+from tools.bench.timing import in_turn
 from tools.studies.study import Scene, keep, keeps, markdown, outermost
 
 ON, OFF = "everything on", "everything off"

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.bench.step import in_turn, spread
 from clsplat.camera import Camera
 from clsplat.constants import NO_ROW, SPLAT_DEPTH, SPLAT_OPACITY, SPLAT_REALS
 from clsplat.device import Array, Device, Handle, Kernel, choose_device
@@ -27,6 +26,7 @@ from clsplat.rendering import pipeline
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Gradients
 from tools.bench.families import counts
+from tools.bench.timing import in_turn, spread
 from tools.bench.workloads import city
 
 VISIBLE_ERROR = 1e-4  # of an image value
