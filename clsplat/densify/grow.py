@@ -13,7 +13,6 @@ the device.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -89,13 +88,15 @@ def plan_growth(candidates: Candidates, grows: NDArray[np.bool_], prunes: NDArra
     lives = ((candidates.visible[splits] | ~prunes[splits])
              & (candidates.largest[splits] - SHRINK <= candidates.limit))
     keeps = np.repeat(lives, CHILDREN)
-    log_scales = _columns(of_splits["log_scales"])
+    quaternions = of_splits["quaternions"].astype(np.float64)[:, None]
+    quaternions /= np.maximum(np.linalg.norm(quaternions, axis=2, keepdims=True), 1e-30)
+    w, axis = quaternions[..., :1], quaternions[..., 1:]
     # drawn for every child, so that pruning one does not change the position of another
-    drawn = rng.standard_normal((len(splits), CHILDREN, 3)).transpose(2, 1, 0).copy()
-    offsets = _rotated(_columns(of_splits["quaternions"]), drawn * np.exp(log_scales)[:, None])
-    positions = np.ascontiguousarray(
-        (_columns(of_splits["positions"])[:, None] + offsets).astype(np.float32).transpose(2, 1, 0)
-        ).reshape(-1, 3)
+    drawn = rng.standard_normal((len(splits), CHILDREN, 3)) * np.exp(
+        of_splits["log_scales"].astype(np.float64))[:, None]
+    twice = 2 * np.cross(axis, drawn)
+    offsets = drawn + w * twice + np.cross(axis, twice)
+    positions = (of_splits["positions"][:, None] + offsets).astype(np.float32).reshape(-1, 3)
     spheres: dict[str, NDArray[np.float32]] = {}
     if "anchors" in rows:
         anchors = (positions if options.sphere_rule == "release" else
@@ -122,29 +123,6 @@ def plan_growth(candidates: Candidates, grows: NDArray[np.bool_], prunes: NDArra
     split = int(np.count_nonzero(np.bincount(parent)))
     return Growth(source, len(stays), len(clones), split,
                   len(rows["positions"]) - len(stays) - split, changes)
-
-
-def _columns(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Rows [N, K] as columns [K, N]: numpy takes several times as long over a short last axis."""
-    return rows.T.copy().astype(np.float64)
-
-
-def _rotated(quaternions: NDArray[np.float64], vectors: NDArray[np.float64]
-             ) -> NDArray[np.float64]:
-    """Vectors [3, C, N] rotated by quaternions [4, N], wxyz, of any length."""
-    w, x, y, z = quaternions
-    length = np.sqrt(w * w + (x * x + y * y + z * z))
-    w, *axis = quaternions / np.maximum(length, 1e-30)
-    twice = [2 * part for part in _cross(axis, vectors)]
-    return np.stack([part + w * along + across for part, along, across
-                     in zip(vectors, twice, _cross(axis, twice))])
-
-
-def _cross(a: Iterable[NDArray[np.float64]], b: Iterable[NDArray[np.float64]]
-           ) -> list[NDArray[np.float64]]:
-    """The components of a cross product, from those of its factors."""
-    (ax, ay, az), (bx, by, bz) = a, b
-    return [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
 
 
 def plan_relocation(opacity_logits: NDArray[np.floating], log_scales: NDArray[np.floating],

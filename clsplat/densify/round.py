@@ -58,17 +58,31 @@ class MeasuredRound(Round):
         return None if target is None else max(0, target - count)
 
     def above_threshold(self, room: int | None = None) -> Mask:
-        return above_threshold(self.gradient, self.options.grow_threshold, room)
+        mask = self.gradient >= self.options.grow_threshold
+        return mask if room is None else _highest_of(mask, self.gradient, room)
 
     def highest(self, room: int) -> Mask:
-        return highest(np.where(self.prunes, 0, self.gradient), room)
+        gradient = np.where(self.prunes, 0, self.gradient)
+        return _highest_of(gradient > 0, gradient, room)
 
     def by_score(self, room: int, prunes: Mask) -> Mask:
-        return by_score(np.where(prunes, 0, self.scores), self.gradient,
-                        self.options.grow_threshold, self._candidates.is_small, room, self.rng)
+        """Clones and splits share the room in proportion to how many of them are eligible."""
+        scores, small = np.where(prunes, 0, self.scores), self._candidates.is_small
+        eligible = self.gradient >= self.options.grow_threshold
+        keys = _drawn_keys(scores, self.rng)
+        total, clones = eligible.sum(), (eligible & small).sum()
+        room = max(0, min(room, total))
+        cloned = round(room * clones / total) if total else 0
+        chosen = np.zeros(len(scores), bool)
+        for kind, share in ((small, cloned), (~small, room - cloned)):
+            chosen |= _first(np.where(eligible & kind, -keys, np.inf), share)
+        return chosen & eligible & (scores > 0)
 
     def half_of_prunes(self) -> Mask:
-        return half_of(self.prunes, self.scores, self.rng)
+        """Those of score 0 are drawn first."""
+        weights = 1 / np.maximum(self.scores, np.finfo(float).tiny)
+        keys = np.where(self.prunes, -_drawn_keys(weights, self.rng), np.inf)
+        return _first(keys, self.prunes.sum() // 2)
 
     def densify(self, grows: Mask, prunes: Mask | None = None) -> Growth:
         return plan_growth(self._candidates, grows, self.prunes if prunes is None else prunes,
@@ -78,46 +92,6 @@ class MeasuredRound(Round):
         return plan_relocation(self.rows["opacity_logits"], self.rows["log_scales"],
                                ~self._candidates.visible, self.frozen, added,
                                self.options.prune_opacity, self.rng)
-
-
-def above_threshold(gradient: Floats, threshold: float, room: int | None = None) -> Mask:
-    """The gaussians whose gradient reaches a threshold (3DGS).
-
-    `room` is the largest number to choose, by highest gradient, then by row; None: any number.
-    """
-    mask = gradient >= threshold
-    return mask if room is None else _highest_of(mask, gradient, room)
-
-
-def highest(gradient: Floats, count: int) -> Mask:
-    """The `count` gaussians of the highest gradients above 0 (DashGaussian), among equals the
-    first."""
-    return _highest_of(gradient > 0, gradient, count)
-
-
-def by_score(scores: Floats, gradient: Floats, threshold: float, small: Mask, count: int,
-             rng: np.random.Generator) -> Mask:
-    """Gaussians above a threshold, drawn with probability in proportion to a score (Taming 3DGS).
-
-    Clones (`small`) and splits share the count in proportion to how many of them are eligible.
-    """
-    eligible = gradient >= threshold
-    keys = _drawn_keys(scores, rng)
-    chosen = np.zeros(len(gradient), bool)
-    total, clones = eligible.sum(), (eligible & small).sum()
-    count = max(0, min(count, total))
-    cloned = round(count * clones / total) if total else 0
-    for kind, share in ((small, cloned), (~small, count - cloned)):
-        chosen |= _first(np.where(eligible & kind, -keys, np.inf), share)
-    return chosen & eligible & (scores > 0)
-
-
-def half_of(candidates: Mask, scores: Floats, rng: np.random.Generator) -> Mask:
-    """Half of the candidates, rounded down, drawn with probability in proportion to 1 / score
-    (Taming 3DGS); those of score 0 are drawn first."""
-    weights = 1 / np.maximum(scores, np.finfo(float).tiny)
-    keys = np.where(candidates, -_drawn_keys(weights, rng), np.inf)
-    return _first(keys, candidates.sum() // 2)
 
 
 def _drawn_keys(weights: Floats, rng: np.random.Generator) -> NDArray[np.float64]:

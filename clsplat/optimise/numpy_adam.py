@@ -38,10 +38,9 @@ class NumpyAdam:
 
     def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False) -> None:
         self.device, self.dense, self.steps = device, dense, 0
-        self.m: HostArrays = {
-            name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
-        self.v: HostArrays = {
-            name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
+        self.m, self.v = (
+            {name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
+            for _ in range(2))
 
     @staticmethod
     def numbers(step: int, rates: Mapping[str, float]) -> dict[str, float]:
@@ -64,25 +63,20 @@ class NumpyAdam:
         count, step = len(rows["positions"]), int(numbers["now"])
         seen = gradients.rows.download()
         usable = seen != NO_ROW
-        touched = seen[usable]
+        touched = np.sort(seen[usable])
         if self.dense:
             unchanged = np.zeros(count, bool) if frozen is None else frozen.download() > 0
             unchanged[gradients.visible.download()[~usable]] = True
             touched = np.flatnonzero(~unchanged).astype(np.uint32)
-            places = np.searchsorted(touched, seen[usable])
-        touched_device = self.device.upload(touched)
+        places, touched_device = np.searchsorted(touched, seen[usable]), self.device.upload(touched)
         for field in LEARNED:
             name, columns = field.name, slice(0, used[field.name])
             if not used[name] or not len(touched):
                 continue
             parameter = gather(self.device, rows[name], touched_device)
-            values, gradient = parameter.download(), gradients.fields[name].download()
-            if self.dense:
-                spread = np.zeros_like(values)
-                spread[places] = gradient[usable]
-                gradient = spread
-            else:
-                gradient = gradient[usable]
+            values = parameter.download()
+            gradient = np.zeros_like(values)
+            gradient[places] = gradients.fields[name].download()[usable]
             flat = values.reshape(len(values), -1)
             m, v = (moments[name].reshape(len(moments[name]), -1) for moments in (self.m, self.v))
             flat[:, columns], m[touched, columns], v[touched, columns] = adam_update(

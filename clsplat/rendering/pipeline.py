@@ -14,7 +14,14 @@ from clsplat.device import Array, Device
 from clsplat.errors import ShapeError
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
-from clsplat.rendering.bin import NEEDS_ORDER, Pairs, TooManyPairs, bin_splats, count_tiles
+from clsplat.rendering.bin import (
+    NEEDS_ORDER,
+    PAIR_LIMIT,
+    Pairs,
+    TooManyPairs,
+    bin_splats,
+    count_tiles,
+)
 from clsplat.rendering.blend import (
     MOST_CHANNELS,
     Blended,
@@ -196,22 +203,23 @@ class Renderer:
         splats, depth_keys = project(device, rows, visible, counts, camera, sh_degree,
                                      self._project_defines)
         order = stable_sort(device, depth_keys, counts)[1] if NEEDS_ORDER.of(device) else None
+
+        def binned(band: range | None, limit: int = PAIR_LIMIT) -> Pairs:
+            return bin_splats(device, splats, counts, order, width, height, band, limit,
+                              room.pairs if room else None)
+
         pairs, bands = None, room.bands if room else (None,)
         if bands == (None,):
             limit = self.most_pairs(width, height, with_depth)
             try:
-                pairs = bin_splats(device, splats, counts, order, width, height, limit=limit,
-                                   room=room.pairs if room else None)
+                pairs = binned(None, limit)
             except TooManyPairs:
                 bands = choose_bands(count_tiles(device, splats, counts, width, height), limit)
         blended, of_visible = None, None if features is None else Features(features, visible)
         for band in bands:
-            blended = blend(
-                device, splats,
-                pairs or bin_splats(device, splats, counts, order, width, height, band,
-                                    room=room.pairs if room else None),
-                width, height, self._background(of_visible), self._blend_defines(with_depth),
-                blended, exposure, of_visible)
+            blended = blend(device, splats, pairs or binned(band), width, height,
+                            self._background(of_visible), self._blend_defines(with_depth),
+                            blended, exposure, of_visible)
         assert blended is not None  # an image has at least one band
         return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
                      with_depth, of_visible)

@@ -1,11 +1,40 @@
 """Masks of growth and pruning: which are chosen, how many, and with what probability."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from clsplat.densify.round import above_threshold, by_score, half_of, highest
+from clsplat.densify.round import MeasuredRound
 
 GRADIENT = np.array([3.0, 1.0, 2.0, 3.0, 0.5, np.nan, 2.0, 0.0])
+
+
+def a_round(gradient, threshold=1.0, scores=None, small=None, prunes=None, rng=None):
+    nothing = np.zeros(len(gradient), bool)
+    candidates = SimpleNamespace(rows={}, is_small=small,
+                                 prunes=nothing if prunes is None else prunes)
+    options = SimpleNamespace(seed=0, grow_threshold=threshold)
+    made = MeasuredRound(1, candidates, options, nothing, lambda: gradient, lambda _: scores)
+    made.rng = rng
+    return made
+
+
+def above_threshold(gradient, threshold, room):
+    return a_round(gradient, threshold).above_threshold(room)
+
+
+def highest(gradient, room):
+    return a_round(gradient).highest(room)
+
+
+def by_score(scores, gradient, threshold, small, room, rng):
+    return a_round(gradient, threshold, scores, small, rng=rng).by_score(
+        room, np.zeros(len(gradient), bool))
+
+
+def half_of(prunes, scores, rng):
+    return a_round(scores, scores=scores, prunes=prunes, rng=rng).half_of_prunes()
 
 
 def chosen(mask):
