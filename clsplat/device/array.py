@@ -87,14 +87,6 @@ class Array:
         """Begin to copy to the host, after everything queued before; does not wait."""
         return Reading(self)
 
-    def last(self) -> Any:
-        """The last element, as a numpy scalar; waits like `download`."""
-        host = np.empty(1, self.dtype)
-        end = self.nbytes - self.dtype.itemsize
-        self.device.note_wait()
-        cl.enqueue_copy(self.device.queue, host, self.buffer, src_offset=end)
-        return host[0]
-
     def write(self, values: ArrayLike, first_row: int = 0) -> None:
         """Overwrite rows from `first_row` on with host values of the same row shape."""
         values = np.ascontiguousarray(values, self.dtype)

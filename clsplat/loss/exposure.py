@@ -15,7 +15,7 @@ from clsplat.constants import (
     VIGNETTING_TERMS,
 )
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
-from clsplat.rendering.blend import RESPONSE, Defines, Exposure, Vignetting
+from clsplat.rendering.blend import RESPONSE, Defines, Exposure
 from clsplat.response import Lenses, Response
 
 IDENTITY = np.eye(3, 4)
@@ -83,9 +83,8 @@ class Exposures:
 
     def of(self, view: int, camera: Array) -> Exposure:
         """The response of a view, for `Renderer.render`; `camera` is its packed camera."""
-        return Exposure(self.transforms, view,
-                        Vignetting(camera, self.lens_of, self.lenses)
-                        if self.has_vignetting else None)
+        lens = (camera, self.lens_of, self.lenses) if self.has_vignetting else ()
+        return Exposure(self.transforms, view, *lens)
 
     def adjoint(self, view: int, camera: Array, image: Array, grad: Array) -> tuple[Array, Array]:
         """Gradients from those (`grad`) by the photo that the response makes of an image real[3, H,

@@ -61,34 +61,23 @@ ADJOINT = Kernel(
     pair_grads=("real", "P", "S"))
 
 
-class Vignetting(NamedTuple):
-    """The gain of the lens of a frame's view (clsplat/response.py).
-
-    Attributes
-    ----------
-    camera : real[27], packed.
-    lens_of : uint[T], the lens of each view.
-    lenses : real[L, 4].
-    """
-
-    camera: Array
-    lens_of: Array
-    lenses: Array
-
-
 class Exposure(NamedTuple):
-    """The response of the view of a frame.
+    """The response of the view of a frame (clsplat/response.py).
 
     Attributes
     ----------
     transforms : real[T, 12], the colour transforms of views.
     view : the row of the frame's view.
-    vignetting : None: no lens has any.
+    camera : real[27], packed; this and the following are None if no lens has vignetting.
+    lens_of : uint[T], the lens of each view.
+    lenses : real[L, 4], their vignetting.
     """
 
     transforms: Array
     view: int
-    vignetting: Vignetting | None = None
+    camera: Array | None = None
+    lens_of: Array | None = None
+    lenses: Array | None = None
 
 
 class Features(NamedTuple):
@@ -195,8 +184,7 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
                          device.empty((height, width), np.int32),
                          device.empty((height, width)) if with_depth else None,
                          device.empty(image) if exposure else None)
-    transforms, view, vignetting = exposure or (None, None, None)
-    camera, lens_of, lenses = vignetting or (None, None, None)
+    response = exposure._asdict() if exposure else dict.fromkeys(Exposure._fields)
     result.checkpoints = result.depth_checkpoints = None  # free those of the band before
     if pairs.bucket_tiles is not None:
         states = len(pairs.bucket_tiles), device.tile**2
@@ -204,13 +192,12 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
         result.depth_checkpoints = device.empty(states) if with_depth else None
     device.launch(BLEND, (*defines, *_feature_defines(features),
                           ("WITH_RESPONSE", int(exposure is not None)),
-                          ("WITH_VIGNETTING", int(vignetting is not None))),
+                          ("WITH_VIGNETTING", int(response["lenses"] is not None))),
                   width=width, height=height, first_tile=pairs.tiles.start,
                   background=background, ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
                   splats=splats, **_of_features(features), image=result.image,
                   transmittance=result.transmittance, last_contributor=result.last_contributor,
-                  depth=result.depth_channel, view=view, transforms=transforms, camera=camera,
-                  lens_of=lens_of, lenses=lenses, exposed=result.exposed,
+                  depth=result.depth_channel, **response, exposed=result.exposed,
                   bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,
                   depth_checkpoints=result.depth_checkpoints)
     return result

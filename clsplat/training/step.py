@@ -336,7 +336,7 @@ class SkippedGradients:
     def poll(self, requested: int) -> bool:
         """Update the counts, and return whether these are the first skipped rows; waits.
         `requested` are the rows of gradients that this process requested so far."""
-        before, counted = self.total, sum(int(counter.last()) for counter in self._counters)
+        before, counted = self.total, sum(int(counter.download()[0]) for counter in self._counters)
         self.total += (counted - self._counted) % 2**32
         self.requested += requested - self._asked
         self._counted, self._asked = counted, requested

@@ -14,11 +14,10 @@ from clsplat.primitives.gather import gather
     (lambda device: device.upload(np.zeros(3)), (0, 1, 1)),
     (lambda device: device.zeros(3).download(), (1, 1, 1)),
     (lambda device: device.zeros(0).download(), (0, 0, 1)),
-    (lambda device: device.zeros(3).last(), (1, 1, 1)),
     (lambda device: device.zeros(3).write(np.ones(2)), (1, 1, 1)),
     (lambda device: device.zeros((3, 2)).narrow(2).reshaped(4), (1, 0, 1)),
     (lambda device: device.finish(), (0, 1, 0)),
-], ids=["empty", "allocate", "zeros", "upload", "download", "nothing", "last", "write", "narrow",
+], ids=["empty", "allocate", "zeros", "upload", "download", "nothing", "write", "narrow",
         "finish"])
 def test_each_way_of_using_the_queue_is_counted(item_device, work, expected):
     assert counted(item_device, lambda: work(item_device)) == expected

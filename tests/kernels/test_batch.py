@@ -91,7 +91,6 @@ def test_a_room_changes_nothing(device, monkeypatch, more):
     views, counts = [padded(device, gradients, count, 20) for gradients in made], new_counts(device)
     with monkeypatch.context() as patch:
         patch.setattr(Array, "download", None)
-        patch.setattr(Array, "last", None)
         result = batch_mean(device, count, 3, views, USED, counts, number + more)
     assert result.counts is counts and counts.download()[COUNT_VISIBLE] == number
     assert len(result.rows) == len(result.visible) == number + more

@@ -10,7 +10,6 @@ from clsplat.rendering.blend import (
     BLEND,
     Exposure,
     Features,
-    Vignetting,
     blend,
     blend_adjoint,
     blend_defines,
@@ -132,11 +131,10 @@ def test_the_response_of_a_view(device, size, with_depth, vignetting):
     camera = Camera(*size, (0.9 * size[0], 1.1 * size[0]), (0.45 * size[0], 0.6 * size[1]),
                     np.eye(3), np.zeros(3))
     plain = Blended(device, rows, size, with_depth=with_depth)
-    lens = Vignetting(pack_camera(device, camera, 0.01),
-                      device.upload(np.array([0, 1, 0], np.uint32)), device.upload(lenses))
+    lens = (pack_camera(device, camera, 0.01), device.upload(np.array([0, 1, 0], np.uint32)),
+            device.upload(lenses)) if vignetting else ()
     drawn = blend(device, plain.splats, plain.pairs, *size, plain.background, plain.defines,
-                  exposure=Exposure(device.upload(transforms.reshape(3, 12)), 1,
-                                    lens if vignetting else None))
+                  exposure=Exposure(device.upload(transforms.reshape(3, 12)), 1, *lens))
     assert np.array_equal(drawn.image.download(), plain.image)
     own = lenses[1] if vignetting else NO_LENS
     close(drawn.exposed.download(), apply(transforms[1], plain.image, own, radius(camera, own)),

@@ -110,7 +110,7 @@ def check(device, case, antialiased, what):
         actual.gradients,
         reference.project_adjoint(case["rows"], *arguments, antialiased=antialiased, grads=grads),
         case, precision, what)
-    assert np.array_equal(actual.active, visible) and actual.skipped.last() == 0, what
+    assert np.array_equal(actual.active, visible) and actual.skipped.download()[0] == 0, what
 
 
 @pytest.mark.parametrize("name, antialiased", CASES)

@@ -31,7 +31,6 @@ class Rendered:
         with pytest.MonkeyPatch.context() as patch:
             if room:
                 patch.setattr(Array, "download", None)
-                patch.setattr(Array, "last", None)
             self.frame = frame = renderer.render(
                 rows, camera, *size_of(case), case["degree"], True, room, counts)
             gradients = renderer.adjoint(rows, frame, *grads)

@@ -65,7 +65,7 @@ def measure(device, case):
                                   for g in (actual, expected_gradients)))
               for name in expected_gradients}
     return Measured(largest(image, expected), errors, np.isin(np.arange(count), visible), skipped,
-                    renderer.skipped.last(), 1 - fragile.mean())
+                    renderer.skipped.download()[0], 1 - fragile.mean())
 
 
 def _of(name, gradient, scene, healthy):
