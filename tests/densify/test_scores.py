@@ -97,13 +97,6 @@ def test_views_add_up(double_device):
     assert not scored(double_device, NAME, gradient, [])[0].any()
 
 
-@pytest.mark.slow
-def test_the_same_bytes_every_time(device):
-    gradient, photo = gradient_of(25), photo_of(*size_of(cases.gaussians(NAME)), 0)
-    first, second = (scored(device, NAME, gradient, [photo])[0] for _ in range(2))
-    assert np.array_equal(first, second)
-
-
 def test_nothing_to_score(device):
     """No gaussian at all; none with a gradient; a black photo has no edges."""
     black = np.zeros((3, 40, 48), np.uint8)

@@ -301,12 +301,3 @@ def test_nothing_is_read_that_was_not_written(group_device, monkeypatch):
 
     monkeypatch.setattr(group_device, "empty", poisoned)
     assert np.array_equal(Blended(group_device, rows, (20, 16)).adjoint(*cotangent), expected)
-
-
-def test_weights_and_transmittance_sum_to_one(device):
-    """White splats on white are white, however they overlap."""
-    for opacity in ((0.01, 0.1), (0.5, 1)):
-        splats, order = cases.splats(300, 48, 40, seed=6, opacity=opacity)
-        splats["colours"][:] = 1
-        actual = Blended(device, pack_splats(splats, order), (48, 40), np.ones(3))
-        assert np.allclose(actual.image, 1, atol=3e-6, rtol=0)

@@ -1,7 +1,7 @@
 """Splats to an image, front to back, and the adjoint: every splat against every pixel, no tiles.
 
 Splats are a dict: means[N, 2] and conics[N, 3] (pixels), opacities[N], colours[N, C], depths[N].
-`order` lists the splats to draw, front first; a background is [C] or [C, H, W].
+`order` lists the splats to draw, front first.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ def blend(splats, order, width, height, background, smooth=False, with_depth=Fal
         else:
             depth[touch["pixels"]] += splats["depths"][touch["splat"]] * weight * with_depth
         transmittance[touch["pixels"]] = touch["before"] * (1 - touch["alpha"])
-    image += np.asarray(background, float).reshape(channels, -1) * transmittance
+    image += np.reshape(background, (channels, 1)) * transmittance
     shape = height, width
     return image.reshape(channels, *shape), transmittance.reshape(shape), depth.reshape(shape)
 
@@ -44,7 +44,7 @@ def blend_adjoint(splats, order, width, height, background, grad_image, grad_dep
               for name in ("means", "conics", "opacities", "colours", "depths")}
     touches = list(_touches(splats, order, width, height, smooth))
     # what lies behind the splat at hand, as seen through it, times the cotangent
-    behind = (np.asarray(background, float).reshape(channels, -1) * grad_image).sum(axis=0)
+    behind = (np.reshape(background, (channels, 1)) * grad_image).sum(axis=0)
     if grad_transmittance is not None:
         behind += grad_transmittance.reshape(pixels)
     for touch in reversed(touches):

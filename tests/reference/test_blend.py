@@ -40,18 +40,6 @@ def test_adjoint_agrees_with_differences(size, with_depth, seed):
     adjoint_agrees(function, adjoint, splats, seed, what=f"blend {size}")
 
 
-def test_adjoint_over_a_background_of_each_pixel():
-    size = 7, 5
-    splats, order = cases.splats(12, *size, seed=5, opacity=(0.05, 0.8))
-    background = cases.images(*size)[0]
-    adjoint_agrees(lambda point: {"image": blend(point, order, *size, background, smooth=True)[0]},
-                   lambda point, grads: blend_adjoint(point, order, *size, background,
-                                                      grads["image"], smooth=True), splats)
-    flat = np.broadcast_to(BACKGROUND[:, None, None], (3, 5, 7))
-    assert np.array_equal(blend(splats, order, *size, flat)[0],
-                          blend(splats, order, *size, BACKGROUND)[0])
-
-
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("name", ["plain", "ragged", "one_tile", "less_than_a_tile"])
 def test_chain_of_project_and_blend_agrees_with_differences(name, antialiased):
