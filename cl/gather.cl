@@ -1,4 +1,4 @@
-// Rows by index, and the inverse. rows: real[M, width]; one writer a slot.
+// Rows by index. rows: real[M, width]; one writer a slot.
 #include "real.h"
 #include "each.h"
 
@@ -8,12 +8,4 @@ __kernel void gather(uint count, uint width, __global const uint *restrict indic
 {
     FOR_EACH(i, (ulong)count * width)
         result[i] = rows[(ulong)indices[i / width] * width + i % width];
-}
-
-// rows[indices[i], :] = values[i, :]; indices must be distinct.
-__kernel void scatter(uint count, uint width, __global const uint *restrict indices,
-                      __global const real *restrict values, __global real *restrict rows)
-{
-    FOR_EACH(i, (ulong)count * width)
-        rows[(ulong)indices[i / width] * width + i % width] = values[i];
 }

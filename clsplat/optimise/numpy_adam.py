@@ -19,7 +19,6 @@ from clsplat.device import Array, ArraySpec, Device
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import HostArrays, corrections
-from clsplat.primitives.gather import gather, scatter
 from clsplat.rendering.project import Gradients
 
 
@@ -60,30 +59,27 @@ class NumpyAdam:
               used: Mapping[str, int], frozen: Array | None = None) -> None:
         """As `DeviceAdam.apply`, but waits, and moves all rows where the engine is dense; `frozen`,
         uint[N], is not 0 for rows that keep parameters and moments."""
-        count, step = len(rows["positions"]), int(numbers["now"])
         seen = gradients.rows.download()
         usable = seen != NO_ROW
-        touched = np.sort(seen[usable])
+        moved = seen[usable]
         if self.dense:
-            unchanged = np.zeros(count, bool) if frozen is None else frozen.download() > 0
-            unchanged[gradients.visible.download()[~usable]] = True
-            touched = np.flatnonzero(~unchanged).astype(np.uint32)
-        places, touched_device = np.searchsorted(touched, seen[usable]), self.device.upload(touched)
+            stays = np.zeros(len(rows["positions"]), bool) if frozen is None else (
+                frozen.download() > 0)
+            stays[gradients.visible.download()[~usable]] = True
+            moved = np.flatnonzero(~stays)
         for field in LEARNED:
             name, columns = field.name, slice(0, used[field.name])
-            if not used[name] or not len(touched):
+            if not used[name] or not len(moved):
                 continue
-            parameter = gather(self.device, rows[name], touched_device)
-            values = parameter.download()
+            values = rows[name].download()
             gradient = np.zeros_like(values)
-            gradient[places] = gradients.fields[name].download()[usable]
-            flat = values.reshape(len(values), -1)
-            m, v = (moments[name].reshape(len(moments[name]), -1) for moments in (self.m, self.v))
-            flat[:, columns], m[touched, columns], v[touched, columns] = adam_update(
-                flat[:, columns], gradient.reshape(len(values), -1)[:, columns],
-                m[touched, columns], v[touched, columns], step, numbers[f"rate_{name}"])
-            parameter.write(values)
-            scatter(self.device, parameter, touched_device, rows[name])
+            gradient[seen[usable]] = gradients.fields[name].download()[usable]
+            parameter, slope, m, v = (each.reshape(len(values), -1)[:, columns] for each in (
+                values, gradient, self.m[name], self.v[name]))
+            parameter[moved], m[moved], v[moved] = adam_update(
+                parameter[moved], slope[moved], m[moved], v[moved], int(numbers["now"]),
+                numbers[f"rate_{name}"])
+            rows[name].write(values)
 
     def catch_up(self, rows: Mapping[str, Array], frozen: Array | None = None) -> None:
         """As `DeviceAdam.catch_up`: no row lags."""

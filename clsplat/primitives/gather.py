@@ -1,4 +1,4 @@
-"""Rows by index, and their inverse (cl/gather.cl)."""
+"""Rows by index (cl/gather.cl)."""
 
 import math
 
@@ -6,8 +6,6 @@ from clsplat.device import Array, Device, Kernel, each
 
 GATHER = Kernel("gather.cl", "gather", each("count width"), count="uint", width="uint",
                 indices=("uint", "N"), rows=("real", "M", "W"), result=("real", "N", "W"))
-SCATTER = Kernel("gather.cl", "scatter", each("count width"), count="uint", width="uint",
-                 indices=("uint", "N"), values=("real", "N", "W"), rows=("real", "M", "W"))
 
 
 def gather(device: Device, rows: Array, indices: Array, result: Array | None = None) -> Array:
@@ -22,21 +20,9 @@ def gather(device: Device, rows: Array, indices: Array, result: Array | None = N
     count = len(indices)
     if result is None:
         result = device.empty((count, *rows.shape[1:]))
-    width = _width(rows)
+    width = math.prod(rows.shape[1:])
     if width:
         device.launch(GATHER, count=count, width=width, indices=indices,
                       rows=rows.reshaped(len(rows), width),
                       result=result.narrow(count).reshaped(count, width))
     return result
-
-
-def scatter(device: Device, values: Array, indices: Array, rows: Array) -> None:
-    """Write rows in place: rows[indices[i]] = values[i], for distinct indices uint[N]."""
-    count, width = len(indices), _width(rows)
-    if width:
-        device.launch(SCATTER, count=count, width=width, indices=indices,
-                      values=values.reshaped(count, width), rows=rows.reshaped(len(rows), width))
-
-
-def _width(rows: Array) -> int:
-    return math.prod(rows.shape[1:])

@@ -1,9 +1,9 @@
-"""Rows by index, and back to their places."""
+"""Rows by index."""
 
 import numpy as np
 import pytest
 
-from clsplat.primitives.gather import gather, scatter
+from clsplat.primitives.gather import gather
 from tests.reference.gather import gather as expected_gather
 
 
@@ -16,15 +16,3 @@ def test_rows_by_index(device, shape):
         index = rng.integers(0, 50, count).astype(np.uint32)  # some repeat
         result = gather(device, device.upload(rows), device.upload(index))
         assert np.array_equal(result.download(), expected_gather(rows, index))
-
-
-def test_scatter_is_the_inverse(device):
-    rng = np.random.default_rng(2)
-    for shape in ((), (3,), (15, 3)):
-        rows = rng.normal(size=(300, *shape)).astype(device.real)
-        index = rng.permutation(300)[:device.group_size + 1].astype(np.uint32)
-        values = rng.normal(size=(len(index), *shape)).astype(device.real)
-        target = device.upload(rows)
-        scatter(device, device.upload(values), device.upload(index), target)
-        rows[index] = values
-        assert np.array_equal(target.download(), rows)

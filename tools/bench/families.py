@@ -189,11 +189,10 @@ def frequency(city: CityFrame) -> Cases:
 
 
 def gather(city: CityFrame) -> Cases:
-    """Gather and scatter of the rows of a frame's visible gaussians, in its order."""
+    """The rows of a frame's visible gaussians, in its order."""
     device, visible, rows = city.device, city.frame.visible, city.rows["sh_rest"]
     gathered = gathering.gather(device, rows, visible)
-    return {"gather": partial(gathering.gather, device, rows, visible, gathered),
-            "scatter": partial(gathering.scatter, device, gathered, visible, rows)}
+    return {"gather": partial(gathering.gather, device, rows, visible, gathered)}
 
 
 def image_loss(city: CityFrame) -> Cases:
