@@ -197,34 +197,14 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
     return options
 
 
-EARLIER = {"vignetting": "off"}  # what runs did that do not record an option
-# options of earlier versions -> the value that is what runs do now
-OBSOLETE = ("snapshots",)  # of earlier versions, which changed no model
-REMOVED = {"tone": "off", "moments": "float", "split_size": 0.01, "free_space": 0.0}
-
-
 def recorded(record: dict[str, Any]) -> TrainOptions:
     """The options among the values of a run's options.json; InputError for a damaged one."""
-    record = {**EARLIER, **record}
-    decided = record.get("decisions")
-    if record.get("sh_degree") == AUTO and isinstance(decided, dict):  # of earlier versions
-        record["sh_degree"] = decided.get("sh_degree")
-    for name, value in REMOVED.items():
-        if record.get(name, value) != value:
-            raise InputError(f"options.json: {name} {record[name]} was removed; train "
-                             "the run again without it")
     schedule = checked("options.json", "schedule", record.get("schedule", TrainOptions.schedule))
     parts = checked("options.json", "add_parts", record.get("add_parts", TrainOptions.add_parts))
     known = {option.name for option in options_of(options_with(schedule, parts=parts))
              if serves(option, schedule)}
     return resolve(checked_values("options.json", {
         name: value for name, value in record.items() if name in known}), {})
-
-
-def of_file(source: str, record: dict[str, Any]) -> dict[str, Any]:
-    """The `checked_values` of a file of a city, which may be of an earlier version."""
-    return checked_values(source, {name: value for name, value in record.items()
-                                   if name not in OBSOLETE})
 
 
 def serves(known: declared.Option, schedule: str) -> bool:

@@ -16,8 +16,6 @@ from clsplat.options import (
     TrainOptions,
     checked,
     from_toml,
-    of_file,
-    recorded,
     resolve,
     seconds_of,
     serves,
@@ -344,13 +342,3 @@ def test_presets_are_what_the_paper_and_the_release_say():
         8, 0.8, "release")
     assert paper.sphere_reach == release.sphere_reach == 15
     assert paper.level_share == release.level_share == 1  # no deadlines
-
-
-def test_records_of_earlier_versions_are_read():
-    """A run that chose its harmonics keeps that choice; a city that kept snapshots goes on."""
-    record = dataclasses.asdict(resolve({}, {"seed": 4}))
-    found = recorded({**record, "sh_degree": "auto", "decisions": {"sh_degree": 1}})
-    assert (found.sh_degree, found.seed) == (1, 4)
-    assert of_file("city.json", {"seed": 4, "snapshots": True}) == {"seed": 4}
-    with pytest.raises(InputError, match="snapshot"):
-        of_file("city.json", {"snapshot": True})

@@ -17,7 +17,7 @@ from clsplat.errors import InputError, Interrupted, OutOfDeviceMemory, StopTrain
 from clsplat.io.runs.city import DENSE, BlockFolder, CityFolder
 from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.write import DEPTH
-from clsplat.options import EARLIER, TrainOptions, checked_values, of_file, resolve
+from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.training.checkpoint import Saved
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
@@ -61,7 +61,7 @@ class BlockJob(Job):
 def decided_by(coarse: RunFolder) -> dict[str, Any]:
     """{option: value} that a coarse run has decided for all blocks."""
     decisions, path = coarse.read_options().get("decisions"), coarse.path / OPTIONS
-    known = {**EARLIER, **decisions} if isinstance(decisions, dict) else {}
+    known = decisions if isinstance(decisions, dict) else {}
     if not set(DECIDED) <= set(known):
         raise InputError(f"{path}: damaged (decisions is {str(decisions)[:20]!r}); remove "
                          f"{coarse.path}, and train it again")
@@ -79,7 +79,7 @@ def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[st
 
 def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
     """The options in a block's folder, with changes; InputError for invalid ones."""
-    values = of_file(str(block.path), block.read()["options"])
+    values = checked_values(str(block.path), block.read()["options"])
     return resolve(values, {"init": str(block.initial), **changes})
 
 

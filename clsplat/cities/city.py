@@ -27,7 +27,7 @@ from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.origin import recorded_scene, scene_record
 from clsplat.io.runs.run import CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
-from clsplat.options import TrainOptions, of_file, resolve
+from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.scene import Scene, View
 from clsplat.schedule import SceneFacts, chooses_steps, worthwhile_steps
 from clsplat.training.loop import resume, train
@@ -81,7 +81,7 @@ class City:
         """
         if begun := folder.has_record:
             record = folder.read(scene=str, options=dict)
-            options = resolve({}, of_file(str(folder.path / CITY), record["options"]))
+            options = resolve({}, checked_values(str(folder.path / CITY), record["options"]))
             scene = read_scene(recorded_scene(record, folder.path, scene_path), options.images)
             if fingerprint(scene) != record["fingerprint"]:
                 raise InputError(f"{folder.path}: its scene {scene.path} has changed since; put it "

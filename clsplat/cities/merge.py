@@ -42,7 +42,7 @@ from clsplat.io.models.values import colours_of, to_bytes
 from clsplat.io.runs.city import PARTITION, BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint
-from clsplat.options import TrainOptions, of_file, resolve
+from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.partition.region import Partition, world_of
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
@@ -396,7 +396,7 @@ def joint_options(city: City, given: Any, count: int) -> TrainOptions:
 
     A limit of gaussians is one of each block, so the merged model of `count` may have more; it does
     not grow then. The same views are held out as of one run."""
-    joint = resolve(of_file(str(city.folder.path / PARTITION), given),
+    joint = resolve(checked_values(str(city.folder.path / PARTITION), given),
                     {"init": str(city.folder.joint_start)})
     most = joint.max_gaussians and max(joint.max_gaussians, count)
     return dataclasses.replace(joint, max_gaussians=most, test_every=city.options.test_every,

@@ -104,7 +104,8 @@ def verdict(error: BaseException, signalled: int = 0) -> tuple[str, int]:
     if isinstance(error, MemoryError):
         return ("error: this machine does not have enough memory left; close other programs, or "
                 "use smaller images with --downscale or --max-resolution"), 2
-    return "error: this is a bug in clsplat; please report it with the lines above", BUG
+    return ("error: this is a bug in clsplat, or in the package of others that the lines above "
+            "name; please report it with these lines"), BUG
 
 
 def say(text: str) -> None:

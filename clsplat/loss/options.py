@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from clsplat.config.option import option
 from clsplat.config.plug_in import Group
 
-REGISTERED = Group("clsplat.parts", "part", "clsplat.Part")  # NAME = MODULE:SUBCLASS_OF_PART
+REGISTERED = Group("clsplat.parts")  # NAME = MODULE:SUBCLASS_OF_PART
 
 
 @dataclass(frozen=True)

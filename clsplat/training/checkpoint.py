@@ -117,8 +117,8 @@ def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays,
             if not isinstance(value, kinds) or least is not None and (
                     isinstance(value, bool) or not least <= value < 2**63):
                 raise ValueError(f"{key} ({str(value)[:20]!r})")
-        degree = (record.get("decisions") or {}).get("sh_degree", record["sh_degree"])
-        return gaussians_of(arrays, checked(str(run.path / OPTIONS), "sh_degree", degree))
+        degree = checked(str(run.path / OPTIONS), "sh_degree", record["sh_degree"])
+        return gaussians_of(arrays, degree)
     except (KeyError, ValueError) as error:
         raise InputError(f"{run.path}: its checkpoint lacks a good {error}; "
                          "start again with --overwrite") from None
