@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from clsplat.api.scene import View as View
     from clsplat.api.score import Score as Score
     from clsplat.api.score import evaluate as evaluate
-    from clsplat.api.train import train as train
     from clsplat.api.trainer import Trainer as Trainer
     from clsplat.api.trainer import TrainingStep as TrainingStep
+    from clsplat.api.trainer import train as train
     from clsplat.camera import Camera as Camera
     from clsplat.config.option import option as option
     from clsplat.errors import ClsplatError as ClsplatError
@@ -47,7 +47,7 @@ _HOMES = {
     "Trainer": "clsplat.api.trainer", "TrainingStep": "clsplat.api.trainer",
     "View": "clsplat.api.scene", "city": "clsplat.api.city", "evaluate": "clsplat.api.score",
     "option": "clsplat.config.option", "plan": "clsplat.api.plan",
-    "render": "clsplat.api.renderer", "train": "clsplat.api.train"}
+    "render": "clsplat.api.renderer", "train": "clsplat.api.trainer"}
 
 __all__ = ["Camera", "ClsplatError", "Device", "Forecast", "Frame", "Gaussians", "Georeference",
            "Part", "Plan", "Renderer", "Run", "Scene", "Schedule", "Score", "StopTraining",

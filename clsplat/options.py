@@ -141,6 +141,10 @@ class TrainOptions(PoseOptions, DepthOptions, RobustOptions, ExposureOptions, Re
                              "them out")
 
 
+# the options that decide which others there are
+_FIRST = {"schedule": TrainOptions.schedule, "add_parts": TrainOptions.add_parts}
+
+
 def options_with(*schedules: str, parts: Iterable[str] = ()) -> type[TrainOptions]:
     """TrainOptions with the own options of schedules and parts that other packages register."""
     found = [SCHEDULES.own_options(name, schedule_of(name).Options, TrainOptions)
@@ -164,8 +168,7 @@ def checked_values(source: str, values: dict[str, Any], *schedules: str,
     The schedule and the parts among the values add their own options; `schedules` and `parts` name
     more of them.
     """
-    name = checked(source, "schedule", values.get("schedule", TrainOptions.schedule))
-    named = checked(source, "add_parts", values.get("add_parts", TrainOptions.add_parts))
+    name, named = (checked(source, key, {**_FIRST, **values}[key]) for key in _FIRST)
     kind = options_with(name, *schedules, parts=(*named, *parts))
     return {key: checked(source, key, value, kind) for key, value in values.items()}
 
@@ -199,11 +202,11 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
 
 def recorded(record: dict[str, Any]) -> TrainOptions:
     """The options among the values of a run's options.json; InputError for a damaged one."""
-    schedule = checked("options.json", "schedule", record.get("schedule", TrainOptions.schedule))
-    parts = checked("options.json", "add_parts", record.get("add_parts", TrainOptions.add_parts))
+    source, given = "options.json", {**_FIRST, **record}
+    schedule, parts = (checked(source, name, given[name]) for name in _FIRST)
     known = {option.name for option in options_of(options_with(schedule, parts=parts))
              if serves(option, schedule)}
-    return resolve(checked_values("options.json", {
+    return resolve(checked_values(source, {
         name: value for name, value in record.items() if name in known}), {})
 
 

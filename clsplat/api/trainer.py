@@ -1,8 +1,8 @@
-"""`clsplat.Trainer`: a training whose steps are taken one by one, by an iterator."""
+"""`clsplat.train`, and `clsplat.Trainer`: a training whose steps are taken one by one."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
@@ -17,14 +17,50 @@ from clsplat.api.options import TrainOptions, resolved
 from clsplat.api.renderer import checked_fields
 from clsplat.api.run import Run
 from clsplat.device import Device, choose_device
-from clsplat.errors import InputError
+from clsplat.errors import InputError, Interrupted
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.scene import Scene
 from clsplat.schedule.plan import Schedule
+from clsplat.training import loop
 from clsplat.training.interrupt import deferred_interrupt
-from clsplat.training.loop import Training
 from clsplat.training.part import Part
+
+
+def train(scene: Scene | str | PathLike[str], options: TrainOptions | None = None, *,
+          output: str | PathLike[str] | None = None, device: Device | None = None,
+          parts: Iterable[Part] = (), schedule: type[Schedule] | None = None,
+          overwrite: bool = False, callbacks: Iterable[Callable[[dict[str, Any]], object]] = ()
+          ) -> Run:
+    """Train gaussians on a scene; the same as `clsplat train`.
+
+    Parameters
+    ----------
+    scene, options, output, device, parts, schedule, overwrite : as for `clsplat.Trainer`.
+    callbacks : functions that are called with each record, a dict with `event`, `iteration`,
+        `train_seconds`, `level` and `gaussians`. Every step has a record of event "step" with its
+        `loss`, `l1` and `ssim`, for which the host waits for the device. Other events are those of
+        metrics.jsonl: "plan", "level", "grow", "eval". A function that raises
+        `clsplat.StopTraining` ends the training after the step; `Run.resume` continues it.
+
+    Returns
+    -------
+    The Run.
+
+    Raises
+    ------
+    clsplat.ClsplatError : if the scene, an option or the folder cannot be used.
+    """
+    data, chosen, opened = opened_training(scene, options, device, schedule)
+    folder = folder_of(output)
+    with RunFolder(folder).locked():
+        run = RunFolder.create(folder, overwrite=overwrite)
+        try:
+            loop.train(data, chosen, opened, run, callbacks=callbacks, parts=parts)
+        except Interrupted as error:
+            if not error.planned:
+                raise
+    return Run(run)
 
 
 class Trainer:
@@ -64,7 +100,7 @@ class Trainer:
         with ExitStack() as opening:
             opening.enter_context(RunFolder(folder).locked())
             run = RunFolder.create(folder, overwrite=overwrite)
-            self._training = Training(data, chosen, opened, run, parts=parts)
+            self._training = loop.Training(data, chosen, opened, run, parts=parts)
             opening.callback(self._training.session.photos.close)
             self._training.record()
             self._open = opening.pop_all()
@@ -159,7 +195,7 @@ class TrainingStep:
     gaussians : how many there are after it.
     """
 
-    def __init__(self, trainer: Trainer, training: Training) -> None:
+    def __init__(self, trainer: Trainer, training: loop.Training) -> None:
         self._trainer, self._training = trainer, training
         self.iteration, self.level = trainer.iteration, training.session.level
         self.gaussians = training.session.step.count

@@ -17,8 +17,6 @@ from clsplat.errors import InputError
 AUTO = "auto"
 MOST = {int: 2**63 - 1, float: 1e15}  # squares and their sums stay far within float32
 MOST_STEPS = 10_000_000  # in a training: 300 times the default
-MOST_ELEMENTS = 1000  # in a list
-LONGEST_TEXT = 4096  # characters: the longest path that Linux allows
 SHOWN = 200  # characters of a user's value that a message repeats
 KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 
@@ -68,16 +66,6 @@ def options_of(kind: type) -> list[Option]:
         for option in options:
             option.type = types[option.name]
     return options
-
-
-def origin_of(options: Any, name: str) -> str:
-    """The option by which another has its value, as messages name it: one that sets it, such as
-    --preset paper, or itself."""
-    for known in options_of(type(options)):
-        chosen = getattr(options, known.name)
-        if known.metadata["sets"].get(chosen, {}).get(name) == getattr(options, name) is not None:
-            return f"{shown_name(known)} {chosen}"
-    return shown_name(next(known for known in options_of(type(options)) if known.name == name))
 
 
 def is_auto(value: object) -> bool:
@@ -130,7 +118,7 @@ def expected(option: Option) -> str:
     return f"{', '.join(meta['words'])} or {text}" if meta["words"] else text
 
 
-def checked_value(option: Option, value: Any) -> Any:
+def _checked_value(option: Option, value: Any) -> Any:
     """Convert a value to the type of the option, or refuse it by a ValueError that says what is
     expected; one without text means what `expected` returns.
 
@@ -150,8 +138,6 @@ def checked_value(option: Option, value: Any) -> Any:
     else:
         if not isinstance(value, tuple) or count not in (None, len(value)):
             raise ValueError
-        if len(value) > MOST_ELEMENTS:
-            raise ValueError(f"at most {MOST_ELEMENTS} values")
         value = tuple(_checked_one(option, kind, element) for element in value)
     if option.metadata["check"]:
         option.metadata["check"](value)
@@ -160,33 +146,24 @@ def checked_value(option: Option, value: Any) -> Any:
 
 def _checked_one(option: Option, kind: Any, value: Any) -> Any:
     meta = option.metadata
-    if type(value) is int and abs(value) >= 2**63:
-        raise ValueError("a number below 2^63")
     if kind is float and type(value) is int:
-        value = float(value)
+        value = float(value) if abs(value) < 2**63 else math.inf
     if type(value) is not kind or meta["choices"] and not (
             value in meta["choices"] or meta["more"] and value in meta["more"]()):
         raise ValueError
     if kind is str:
-        _check_text(value)
+        if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
+            raise ValueError("text in Unicode")  # neither JSON nor a path can contain it
     elif kind is not bool:
         low, high = meta["minimum"], meta["maximum"]
         most = MOST[kind] if meta["most"] is None else meta["most"]
         if (low is not None and not value >= low) or (high is not None and not value <= high):
             raise ValueError
-        if not math.isfinite(value):
+        if kind is float and not math.isfinite(value):
             raise ValueError("a finite number")
         if value > most:
             raise ValueError(f"at most {most:,}" if kind is int else f"at most {most:g}")
     return value
-
-
-def _check_text(text: str) -> None:
-    """Refuse a text that neither a JSON record nor a path can contain."""
-    if len(text) > LONGEST_TEXT:
-        raise ValueError(f"at most {LONGEST_TEXT} characters")
-    if "\0" in text or any("\ud800" <= letter <= "\udfff" for letter in text):
-        raise ValueError("text in Unicode")
 
 
 def parsed(option: Option, text: str) -> Any:
@@ -201,9 +178,9 @@ def parsed(option: Option, text: str) -> Any:
 
 
 def check_flag(option: Option, value: Any) -> Any:
-    """`checked_value` of the value of a flag; the InputError names the flag."""
+    """`_checked_value` of the value of a flag; the InputError names the flag."""
     try:
-        return checked_value(option, value)
+        return _checked_value(option, value)
     except ValueError as error:
         between = option.metadata["separator"] or (" " if kind_of(option)[1] else ",")
         text = between.join(f"{part:g}" if isinstance(part, float) else str(part)
@@ -213,24 +190,18 @@ def check_flag(option: Option, value: Any) -> Any:
 
 
 def checked(kind: type, source: str, key: str, value: Any) -> Any:
-    """`checked_value` of the option `key` of a dataclass; the InputError begins with `source`."""
+    """The value of the option `key` of a dataclass; InputError, which begins with `source`, for one
+    that is not allowed."""
     source = source and f"{source}: "
-    known = {option.name: option for option in options_of(kind)}
-    if key not in known:
+    option = next((option for option in options_of(kind) if option.name == key), None)
+    if option is None:
         raise InputError(f"{source}unknown option {key[:SHOWN]!r}; see `clsplat train "
                          "--help-all`")
     try:
-        return checked_value(known[key], value)
+        return _checked_value(option, value)
     except ValueError as error:
         raise InputError(f"{source}option '{key.replace('_', '-')}' expects "
-                         f"{str(error) or expected(known[key])}, got {_shown(value)}") from None
-
-
-def _shown(value: object) -> str:
-    try:
-        return repr(value)[:SHOWN]
-    except ValueError:  # Python does not print integers of more than 4300 digits
-        return "a number of thousands of digits"
+                         f"{str(error) or expected(option)}, got {value!r:.{SHOWN}}") from None
 
 
 def plain(value: Any) -> Any:

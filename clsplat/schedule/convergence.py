@@ -1,24 +1,19 @@
-"""Three tests for whether the scene frequency has converged at a level.
+"""Two tests for whether the scene frequency has converged at a level.
 
-`paper` (Xue et al. 2026, eq. 8): the last difference per step is below k mean(1/d). `release`, the
-authors' code: a parabola through the last samples is flat compared with the steepest slope of the
-level. `robust`, ours: the median of the last differences per step is below a share of the frequency
-itself, because the initial cloud's 1/d says little once growth has refined it many times over.
+`paper` (Xue et al. 2026, eq. 8): the last difference per step is below k mean(1/d). `robust`, ours:
+the median of the last differences per step is below a share of the frequency itself, because the
+initial cloud's 1/d says little once growth has refined it many times over.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from statistics import median
+from typing import NamedTuple
 
 MEDIAN_OF = 3  # differences, so that a single outlier decides nothing
-WINDOW = 6  # samples under the parabola of `release`
-SLOPE_SHARE, CURVATURE_SHARE = 0.05, 0.1  # of the level's steepest slope (`release`)
-Samples = Sequence[tuple[int, float]]
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """A test's result: the growth of the frequency per step (None: too few samples), the slope
     below which it has converged, and whether it has."""
 
@@ -27,67 +22,18 @@ class Verdict:
     converged: bool
 
 
-def judge(test: str, samples: Samples, rate: float, inverse_distance: float) -> Verdict:
-    """Test ("robust", "paper" or "release") whether the scene frequency has converged.
+def judge(test: str, samples: Sequence[tuple[int, float]], rate: float, inverse_distance: float
+          ) -> Verdict:
+    """Test ("robust" or "paper") whether the scene frequency has converged.
 
     `samples` are (iteration, frequency) of one level, oldest first, and those that are not finite
     are ignored; `rate` is k, per step; `inverse_distance` is mean(1/d), 1 / world unit, for `paper`
     only.
     """
     samples = [sample for sample in samples if math.isfinite(sample[1])]
-    if test == "paper":
-        return _paper(samples, rate * inverse_distance)
-    return _release(samples) if test == "release" else _robust(samples, rate)
-
-
-def _differences(samples: Samples) -> list[float]:
-    """Growth of the frequency per step between neighbouring samples."""
-    return [(after - before) / (end - begin)
-            for (begin, before), (end, after) in zip(samples, samples[1:])]
-
-
-def _robust(samples: Samples, rate: float) -> Verdict:
-    threshold = rate * samples[-1][1] if samples else 0.0
-    if len(samples) <= MEDIAN_OF:
-        return Verdict(None, threshold, False)
-    slope = median(_differences(samples)[-MEDIAN_OF:])
-    return Verdict(slope, threshold, slope < threshold)
-
-
-def _paper(samples: Samples, threshold: float) -> Verdict:
-    if len(samples) < 2:
-        return Verdict(None, threshold, False)
-    slope = _differences(samples)[-1]
-    return Verdict(slope, threshold, slope < threshold)
-
-
-def _release(samples: Samples) -> Verdict:
-    if len(samples) < WINDOW:
-        return Verdict(None, 0.0, False)
-    values = [value for _, value in samples]
-    spacing = (samples[-1][0] - samples[0][0]) / (len(samples) - 1)
-    fits = [_end_of_parabola(values[end - WINDOW:end])
-            for end in range(WINDOW, len(values) + 1)]
-    slope, curvature = fits[-1]
-    steepest = max(s for s, _ in fits)
-    # with a constant frequency, rounding would decide
-    latest = values[-WINDOW:]
-    flat = max(latest) - min(latest) <= 1e-9 * abs(values[-1])
-    converged = flat or (slope >= 0 and slope < SLOPE_SHARE * steepest
-                         and curvature <= CURVATURE_SHARE * steepest)
-    return Verdict(slope / spacing, SLOPE_SHARE * steepest / spacing, bool(converged))
-
-
-def _end_of_parabola(values: Sequence[float]) -> tuple[float, float]:
-    """(slope, curvature) per sample at the last of evenly spaced values, by least squares.
-
-    The parabola is a sum of orthogonal polynomials: 1, t and t^2 - mean(t^2), t = 0 in the middle.
-    """
-    half = (len(values) - 1) / 2
-    places = [number - half for number in range(len(values))]
-    squares = [t * t for t in places]
-    mean = sum(squares) / len(squares)
-    slope = sum(t * y for t, y in zip(places, values)) / sum(squares)
-    bend = (sum((s - mean) * y for s, y in zip(squares, values))
-            / sum((s - mean) ** 2 for s in squares))
-    return slope + 2 * bend * half, 2 * bend
+    count, scale = ((1, inverse_distance) if test == "paper" else
+                    (MEDIAN_OF, samples[-1][1] if samples else 0.0))
+    slopes = [(after - before) / (end - begin)
+              for (begin, before), (end, after) in zip(samples, samples[1:])]
+    slope = median(slopes[-count:]) if len(slopes) >= count else None
+    return Verdict(slope, rate * scale, slope is not None and slope < rate * scale)

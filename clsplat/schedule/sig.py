@@ -6,7 +6,7 @@ than its pixels can determine: the more the photos disagree about the colour of 
 pixels a gaussian needs for its own, and the fewer steps are taken. The paper has no safeguards;
 ours: rounds of growth disturb the frequency, so it is tested only after them, several tests in a
 row must agree, and each coarser level has a deadline, a share of the run, so that the finest always
-gets its time. The tests `paper` and `release` have no safeguards, as published.
+gets its time. The test `paper` has no safeguards, as published.
 """
 
 import math
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from clsplat.config.option import AUTO, option, origin_of
+from clsplat.config.option import AUTO, option
 from clsplat.errors import InputError
 from clsplat.schedule.convergence import judge
 from clsplat.schedule.plan import Plan, SceneFacts, Schedule, listed, sizes_text
@@ -45,24 +45,16 @@ GROWS_SHARE = 0.7  # of a level's time; in the rest the new gaussians are traine
 MOST_GROWTH = 5  # a round adds at most one gaussian for each so many (as in DashGaussian)
 REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
 
-# the choices of the authors' paper and of their released code
+# the choices of the authors' paper
 PAPER = {
     "iterations": 30_000, "init": "sfm",
     "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
     "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0, "densify_every": 200,
     "level_reset": False, "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
     "sphere": True, "sphere_reach": 15.0, "reproject": "on", "visits": 0.0, "exposure": "off"}
-RELEASE = {
-    "iterations": 30_000, "init": "sfm", "sphere": True,
-    "levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release", "convergence": "release",
-    "convergence_hits": 5, "level_share": 1.0, "densify_every": 200, "level_reset": False,
-    "pixels_per_gaussian": 0.0, "prune_size": 0.05, "opacity_rate": 0.02,
-    "grow_threshold": 1.25e-4, "sphere_neighbours": 8, "sphere_reach": 15.0, "sphere_shrink": 0.8,
-    "sphere_rule": "release", "visits": 0.0, "exposure": "off", "optimizer": "sparse",
-    "ssim_weight": 0.33}
 VARIANTS = ("robust", "paper", "release")
-STATE = ("index", "began", "rounds_taken", "carried", "grown_at", "full", "samples", "hits",
-         "latest")  # attributes of a Sig that a checkpoint keeps
+# attributes of a Sig that a checkpoint keeps
+STATE = ("index", "began", "rounds_taken", "grown_at", "full", "samples", "hits", "latest")
 
 
 def check_levels(levels: tuple[float, ...]) -> None:
@@ -75,9 +67,8 @@ def check_levels(levels: tuple[float, ...]) -> None:
 class SigOptions:
     """Options of the `sig` schedule: when the next level begins, and how much each grows."""
 
-    preset: str = option("ours", "Schedule", "choices of the SIG paper, of its released code, or "
-                         "ours", main=True, choices=("ours", "paper", "release"), part="sig",
-                         sets={"paper": PAPER, "release": RELEASE})
+    preset: str = option("ours", "Schedule", "choices of the SIG paper, or ours", main=True,
+                         choices=("ours", "paper"), part="sig", sets={"paper": PAPER})
     levels: tuple[float, ...] = option(
         (), "Levels", "down-sampling factors of the levels, from coarse to fine, such as 4,2,1; "
         "auto: 5,4,3,2,1 without those whose images are too small to matter", words={AUTO: ()},
@@ -85,8 +76,8 @@ class SigOptions:
         part="sig", measured=True)
     frequency: str = option("robust", "Levels", "which scene frequency is tested for convergence",
                             choices=VARIANTS, part="sig", flag=False, measured=True)
-    convergence: str = option("robust", "Levels", "how it is tested", choices=VARIANTS, part="sig",
-                              sets={"paper": {"convergence_rate": 5e-5}}, flag=False)
+    convergence: str = option("robust", "Levels", "how it is tested", choices=("robust", "paper"),
+                              sets={"paper": {"convergence_rate": 5e-5}}, part="sig", flag=False)
     convergence_rate: float = option(
         1e-4, "Levels", "a level has converged when the scene frequency grows by less than this "
         "share of itself a step (convergence = paper: of the points' mean 1 / distance)",
@@ -177,7 +168,7 @@ class Sig(Schedule):
         self.levels = chosen_levels(options, facts.size)
         self.shares = level_shares(self.levels, options.level_share)
         self.index = self.began = 0  # of the level, and how many steps were taken before it
-        self.rounds_taken = self.carried = self.hits = 0
+        self.rounds_taken = self.hits = 0
         self.grown_at = 0  # step of the last round
         self.full = facts.count >= self.ceiling
         self.samples: list[tuple[int, float]] = []
@@ -238,7 +229,7 @@ class Sig(Schedule):
     def _rounds_left(self, since: int) -> bool:
         """Whether this level, so many steps old, still has rounds of growth to come."""
         in_time = since <= GROWS_SHARE * self.allotment or not self.guarded
-        return in_time and self.rounds_taken < self.options.rounds + self.carried
+        return in_time and self.rounds_taken < self.options.rounds
 
     def _resets(self, before: int, growing: bool) -> bool:
         """Whether opacities are reset after a step: every `reset_every` steps, and where a level
@@ -310,8 +301,6 @@ class Sig(Schedule):
                              and iteration >= self.grown_at + 2 * self.observe_every)
 
     def _advance(self, iteration: int) -> None:
-        if self.options.convergence == "release":  # where unused rounds are kept and add up
-            self.carried += max(0, self.options.rounds - self.rounds_taken)
         self.index += 1
         self.began = iteration
         self.rounds_taken = self.hits = 0
@@ -369,7 +358,7 @@ def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
     if levels:
         if int(side / levels[0]) < TILE and levels[0] > 1:
             raise InputError(
-                f"{origin_of(options, 'levels')}: level {levels[0]:g} would train on images of "
+                f"--levels: level {levels[0]:g} would train on images of "
                 f"{int(size[0] / levels[0])} x {int(size[1] / levels[0])} pixels, less than a tile "
                 f"of {TILE}; give smaller --levels, or larger photos by a smaller --downscale or a "
                 "larger --max-resolution")

@@ -17,20 +17,23 @@ import numpy as np
 from clsplat.config.option import is_auto
 from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted
+from clsplat.evaluation.views import pictures_of
 from clsplat.gaussians import Gaussians
-from clsplat.io.georeference.files import placed, write_placement
-from clsplat.io.models.ply import START
+from clsplat.io.georeference.files import placed, placement_comments, write_placement
+from clsplat.io.models.ply import START, start_comment
+from clsplat.io.models.values import mode_comment
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
+from clsplat.io.reason import reason
 from clsplat.io.records import digest_of
 from clsplat.io.runs.run import PART_OF_CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint
 from clsplat.options import TrainOptions
+from clsplat.report.run import write_report
 from clsplat.scene import Scene
 from clsplat.schedule import Plan
 from clsplat.training.budget import Deadline, evaluation_seconds
 from clsplat.training.checkpoint import Checkpoint, Saved, saved_gaussians
-from clsplat.training.finish import draw_report, save_model
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.part import Part, TrainingSample
@@ -204,7 +207,7 @@ class Training:
                 self.save()
             if self.finished():
                 with self.clock.paused():
-                    save_model(self.run, self.session)
+                    self._save_model()
                     if self.is_stage:
                         self.recorder.log("end")  # a block has no evaluation that tells its steps
                         self.checkpoint.remove()
@@ -215,7 +218,7 @@ class Training:
             if self.evaluator.evaluated_at != self.session.iteration:
                 self.evaluator.evaluate(final=True)
             self.progress.phase("writing the report")
-            draw_report(self.run, self.session, self._scene, self.evaluator.per_view)
+            self._draw_report()
         self.recorder.raise_failure()
 
     def begin(self) -> None:
@@ -374,3 +377,32 @@ class Training:
             self._save_seconds, self._saved_at = time.perf_counter() - begin, self.clock.elapsed()
             if self.deadline:
                 self.deadline.note_saved(self._save_seconds)
+
+    def _save_model(self) -> None:
+        """Write the finished model, and what its parts have learned."""
+        run, session = self.run, self.session
+        session.step.settle()
+        for part in session.parts:
+            part.write(run, session)
+        gaussians = session.model.download().scaled(session.scene.unit)
+        comments = (*start_comment(str(run.read_options().get(START, ""))),
+                    f"iterations {session.iteration}", mode_comment(session.options.antialiased),
+                    *placement_comments(session.scene.up, session.scene.georeference))
+        run.save_model(gaussians, session.scene.offset, comments, session.options.sphere_columns)
+
+    def _draw_report(self) -> None:
+        """Write the report. Failure is only a warning: the model is complete."""
+        session = self.session
+        try:
+            write_report(self.run, scene=self._scene, pictures=pictures_of(
+                session.renderer, session.model.current_rows(), session.options.sh_degree,
+                session.test_views, session.corrected(session.train_views),
+                self.evaluator.per_view, session.predicted()))
+        except ClsplatError:
+            raise
+        except Exception as error:  # noqa: BLE001  (fonts, locales, matplotlib settings)
+            if was_interrupted(error):
+                raise
+            logging.getLogger(__name__).warning(
+                "%s: the report could not be drawn (%s: %s); the model is complete",
+                self.run.path, type(error).__name__, reason(error))

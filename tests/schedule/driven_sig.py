@@ -13,7 +13,7 @@ FACTS = SceneFacts(size=(640, 480), count=1000, inverse_distance=20.0, photos=No
 # what the defaults may become must not matter
 SHORT = {"iterations": 6000, "levels": (4.0, 2.0, 1.0), "level_share": 0.5, "level_reset": False,
          "rounds": 8, "densify_from": 500}
-PRESETS = ("ours", "paper", "release")
+PRESETS = ("ours", "paper")
 
 
 def flat(iteration):

@@ -37,12 +37,9 @@ def test_one_level_is_all_there_is():
     assert schedule.last and schedule.latest is None
 
 
-@pytest.mark.parametrize("given, flag", [
-    ({"preset": "paper"}, "--preset paper"), ({"levels": (5.0, 1.0)}, "--levels"),
-    ({"preset": "paper", "levels": (5.0, 1.0)}, "--levels")])
-def test_levels_too_coarse_for_the_photos_are_called_by_the_flag_that_was_given(given, flag):
-    with pytest.raises(InputError, match=f"^{flag}: level 5 would train on images of 19 x 12 pix"):
-        chosen_levels(resolve({}, given), (96, 64))
+def test_levels_too_coarse_for_the_photos_are_refused():
+    with pytest.raises(InputError, match="^--levels: level 5 would train on images of 19 x 12 pix"):
+        chosen_levels(resolve({}, {"preset": "paper"}), (96, 64))
 
 
 # --- when levels end
@@ -116,13 +113,11 @@ def test_nothing_is_tested_before_growth_is_over():
     assert last + 2 * schedule.observe_every <= end < last + 3 * schedule.observe_every
 
 
-@pytest.mark.parametrize("preset", ["paper", "release"])
-def test_published_tests_are_not_guarded(preset):
-    schedule = sig(preset=preset, levels=(2.0, 1.0), iterations=20_000)
+def test_published_tests_are_not_guarded():
+    schedule = sig(preset="paper", levels=(2.0, 1.0), iterations=20_000)
     first = decisions(drive(schedule))[0][1]
     assert first["reason"] == "converged" and first["rounds"] < schedule.options.rounds
-    needed = {"paper": 1 + 1, "release": 6 + 4}[preset]
-    assert first["since"] == needed * schedule.observe_every
+    assert first["since"] == 2 * schedule.observe_every
 
 
 # --- growth
@@ -171,23 +166,6 @@ def test_a_full_level_gathers_nothing_and_waits_for_no_round():
     assert decisions(full)[0][0] < rounds(roomy, 4.0)[-1] < decisions(roomy)[0][0]
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.one_in(3)
-def test_rounds_left_over_are_carried_by_the_release_only(preset):
-    """Its extra rounds pile up, are never used up, and do not count as left over again."""
-    count = 20
-    schedule = sig(preset=preset, levels=(4.0, 2.0, 1.0), iterations=60_000, rounds=count,
-                   densify_every=50)
-    taken = drive(schedule, flat)
-    grown = [len(rounds(taken, level)) for level in schedule.levels]
-    if preset == "release":
-        left = [count - grown[0], max(0, count - grown[1])]
-        assert grown[0] < count and left[0] > 0
-        assert grown[2] == count + sum(left) and schedule.carried == sum(left)
-    else:
-        assert grown[2] == count and schedule.carried == 0
-
-
 # --- the rest of a plan
 
 def test_opacities_are_reset_while_growing_only():
@@ -216,9 +194,8 @@ def test_the_position_rate_decays_at_the_finest_level_only():
         assert plan.decay == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("preset", ["paper", "release"])
-def test_as_published_it_decays_over_the_whole_run(preset):
-    for iteration, plan, _ in drive(sig(preset=preset)):
+def test_as_published_it_decays_over_the_whole_run():
+    for iteration, plan, _ in drive(sig(preset="paper")):
         assert plan.decay == pytest.approx((iteration - 1) / 6000)
 
 

@@ -102,7 +102,7 @@ def test_more_steps_than_the_photos_allow_are_not_taken(city, drift, monkeypatch
     for every in ({"visits": 0.0}, {"coarse": True}, {"schedule": "constant"},
                   {"schedule": "mcmc"}):
         assert decided(iterations=30_000, **every).options.iterations == 30_000
-    assert resolve({}, {"preset": "paper"}).visits == resolve({}, {"preset": "release"}).visits == 0
+    assert resolve({}, {"preset": "paper"}).visits == 0
 
 
 @pytest.mark.parametrize("measured, answer", [(DRIFTS, "on"), (0.99 * DRIFTS, "off"), (0, "off")])
