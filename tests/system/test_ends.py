@@ -6,7 +6,7 @@ import pytest
 
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.runs.run import RunFolder
-from clsplat.training import finish, loop, recorder
+from clsplat.training import loop, recorder
 from clsplat.training.photos import Photos
 from tests.data.tiny_training import STILL, model_digest, records, resumed, trained
 
@@ -28,7 +28,7 @@ def broken(error):
 def test_a_report_that_cannot_be_drawn_costs_nothing_else(
         whole, item_device, city, tmp_path, monkeypatch, caplog):
     """Faults C5a and C5b of the hostile trial: an encoding, a font, a user's matplotlibrc."""
-    monkeypatch.setattr(finish, "write_report", broken(UnicodeEncodeError("utf-8", "x", 0, 1, "")))
+    monkeypatch.setattr(loop, "write_report", broken(UnicodeEncodeError("utf-8", "x", 0, 1, "")))
     run = trained(tmp_path / "run", city, item_device, **OPTIONS)
     assert model_digest(run) == model_digest(whole)
     assert len(records(run, "eval")) == 1
@@ -41,12 +41,13 @@ def test_a_report_that_cannot_be_drawn_costs_nothing_else(
 
 @pytest.mark.parametrize("moment, error", [
     ("evaluate_views", KeyboardInterrupt()), ("evaluate_views", InputError("a photo is gone")),
-    ("draw_report", KeyboardInterrupt()), ("save_model", KeyboardInterrupt())], ids=repr)
+    ("write_report", KeyboardInterrupt()), ("save_model", KeyboardInterrupt())], ids=repr)
 @pytest.mark.one_in(3)
 def test_the_last_moments_lose_nothing(whole, item_device, city, tmp_path, monkeypatch, moment,
                                        error):
     """Fault C6: Ctrl-C in the final evaluation came before the final checkpoint."""
-    monkeypatch.setattr(recorder if moment == "evaluate_views" else loop, moment, broken(error))
+    where = {"evaluate_views": recorder, "write_report": loop, "save_model": RunFolder}[moment]
+    monkeypatch.setattr(where, moment, broken(error))
     with pytest.raises(Interrupted if isinstance(error, KeyboardInterrupt) else InputError):
         trained(tmp_path / "run", city, item_device, **OPTIONS)
     run = RunFolder(tmp_path / "run")
