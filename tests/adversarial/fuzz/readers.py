@@ -120,7 +120,7 @@ def _made_transforms(folder):
 def _made_options(folder):
     for number, lines in enumerate((
             ("iterations = 500", "downscale = 2.5", "levels = [4.0, 2.0, 1.0]", "size = 'L'",
-             "background = [0.0, 0.5, 1.0]", "sphere = false", "preset = \"release\""),
+             "background = [0.0, 0.5, 1.0]", "sphere = false", "preset = \"paper\""),
             ("# a comment", "time-budget = '10m'", "schedule = 'dash'", "seed = 3", "init = 'sfm'",
              "eval_at = [100, 200]", "antialiased = true", "grow-threshold = 1e-4"))):
         seed = folder / str(number)
