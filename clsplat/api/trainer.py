@@ -106,7 +106,6 @@ class Trainer:
             self._open = opening.pop_all()
         self.run = Run(run)
         self._is_closed = False
-        self._training.begin()
 
     @property
     def iteration(self) -> int:

@@ -11,7 +11,7 @@ integer; growth by a fifth is counted from what pruning leaves; no image is smal
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,7 @@ class Dash(Constant):
 
     defaults = {"reset_every": 3000, "exposure": "off"}
     parts = frozenset({"levels"})
+    keeps = ("factor", "decay_began", "final_growth")
     fills_target = True
 
     @classmethod
@@ -115,14 +116,6 @@ class Dash(Constant):
         left = self.options.iterations - iteration
         places = iteration + left * (np.arange(AHEAD_POINTS) + 0.5) / AHEAD_POINTS
         return [(float(max(1, self._factor(place))), left / AHEAD_POINTS) for place in places]
-
-    def state(self) -> dict[str, Any]:
-        return {"factor": self.factor, "decay_began": self.decay_began,
-                "final_growth": self.final_growth}
-
-    def load(self, state: dict[str, Any]) -> None:
-        self.factor, self.decay_began = state["factor"], state["decay_began"]
-        self.final_growth = state["final_growth"]
 
 
 def resolution_curve(facts: SceneFacts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

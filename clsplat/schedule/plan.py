@@ -105,6 +105,7 @@ class Schedule:
         "spheres", "reprojection", and the `part` of its own options. Options of other parts are
         refused.
     Options : frozen dataclass of the schedule's own options (config/option.py), or None.
+    keeps : names of the attributes, of types that JSON has, that a checkpoint keeps.
     begins_dense : whether a training begins at dense points unless the options say otherwise.
     fills_target : whether a round of growth reaches its target, however few gaussians exceed the
         threshold; for forecasts.
@@ -118,6 +119,7 @@ class Schedule:
     defaults: ClassVar[dict[str, Any]] = {}
     parts: ClassVar[frozenset[str]] = frozenset()
     Options: ClassVar[type | None] = None
+    keeps: ClassVar[tuple[str, ...]] = ()
     begins_dense: ClassVar[bool] = False
     fills_target: ClassVar[bool] = False
     observe_every = 100
@@ -272,11 +274,12 @@ class Schedule:
         return None
 
     def state(self) -> dict[str, Any]:
-        """State for a checkpoint, of types that JSON has."""
-        return {}
+        """The attributes `keeps`, for a checkpoint."""
+        return {name: getattr(self, name) for name in self.keeps}
 
     def load(self, state: dict[str, Any]) -> None:
         """Restore what `state` returned when the checkpoint was written."""
+        vars(self).update(state)
 
     def degree(self, iteration: int) -> int:
         """Degree of the spherical harmonics at step `iteration`: one more every `sh_every`."""

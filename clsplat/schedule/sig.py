@@ -53,8 +53,6 @@ PAPER = {
     "level_reset": False, "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
     "sphere": True, "sphere_reach": 15.0, "reproject": "on", "visits": 0.0, "exposure": "off"}
 VARIANTS = ("robust", "paper", "release")
-# attributes of a Sig that a checkpoint keeps
-STATE = ("index", "began", "rounds_taken", "grown_at", "full", "samples", "hits", "latest")
 
 
 def check_levels(levels: tuple[float, ...]) -> None:
@@ -108,6 +106,7 @@ class Sig(Schedule):
     """Levels from coarse to fine; `observe` decides when the next begins."""
 
     parts = frozenset({"sig", "levels", "spheres", "reprojection"})
+    keeps = ("index", "began", "rounds_taken", "grown_at", "full", "samples", "hits", "latest")
     begins_dense = True
     Options = SigOptions
 
@@ -305,12 +304,6 @@ class Sig(Schedule):
         self.began = iteration
         self.rounds_taken = self.hits = 0
         self.full, self.samples = False, []
-
-    def state(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in STATE}
-
-    def load(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
 
 
 def level_shares(levels: Sequence[float], together: float | str) -> tuple[float, ...]:

@@ -40,14 +40,15 @@ def planned_steps(options: RunOptions, photos: int) -> tuple[int, str]:
                    f"least {FULL_LENGTH:,} and at most {PUBLISHED_LENGTH:,}")
 
 
-def worthwhile_steps(options: ScheduledOptions, facts: SceneFacts, photos: int
-                     ) -> tuple[int, int, str]:
+def worthwhile_steps(options: ScheduledOptions, facts: SceneFacts, photos: int,
+                     is_stage: bool = False) -> tuple[int, int, str]:
     """The length of a run that takes no more steps than its photos allow, before `steps_scale`; the
-    most that they allow (0: any number); and a sentence with the reason."""
+    most that they allow; and a sentence with the reason. The photos of a stage are not compared."""
     steps, reason = planned_steps(options, photos)
-    most, fewer = schedule_of(options.schedule).most_steps(options, facts, photos)
+    most, fewer = (0, "") if is_stage else schedule_of(options.schedule).most_steps(
+        options, facts, photos)
     if not most:
-        return steps, 0, reason
+        return steps, MOST_STEPS, reason
     if options.time_budget:
         reason = f"{reason}, and at most {most:,} {fewer}"
     elif most < steps:

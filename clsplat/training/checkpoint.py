@@ -21,14 +21,8 @@ Arrays = dict[str, NDArray[Any]]
 Saved = tuple[Arrays, dict[str, Any]]  # the arrays and the state of a checkpoint
 
 KINDS = "row", "m", "v", "adam", "statistics"  # of the arrays that no part has
+STATISTICS = "grad_norm_sum", "seen_count"
 REALS = (np.float32, np.float64)  # precisions of devices
-NUMBER = (int, float)
-# key of the state -> (types, least value of a number)
-STATE: dict[str, tuple[Any, int | None]] = {
-    "fingerprint": (str, None), "iteration": (int, 0), "level": (NUMBER, 1),
-    "train_seconds": (NUMBER, 0), "wall_seconds": (NUMBER, 0), "kernel_bytes": (int, 0),
-    "pixel_pairs": (int, 0), "initial_count": (int, 0), "skipped": (dict, None),
-    "schedule": (dict, None), "budget": ((dict, type(None)), None)}
 
 
 class Checkpoint:
@@ -47,12 +41,12 @@ class Checkpoint:
         session, step = self.session, self.session.step
         m, v = step.model.adam.download()
         kinds = {"row": step.model.download(stored=True).rows, "m": m, "v": v,
-                 "adam": step.model.adam.lag(), "statistics": {
-            "grad_norm_sum": step.statistics.grad_norm_sum.download(),
-            "seen_count": step.statistics.seen_count.download()}}
-        arrays = {f"{kind}.{name}": values for kind, fields in (
-            *kinds.items(), *((part.name, part.state()) for part in session.parts))
-            for name, values in fields.items()}
+                 "adam": step.model.adam.lag(),
+                 "statistics": {name: getattr(step.statistics, name).download()
+                                for name in STATISTICS},
+                 **{part.name: part.state() for part in session.parts}}
+        arrays = {f"{kind}.{name}": values for kind, fields in kinds.items()
+                  for name, values in fields.items()}
         self._check(arrays)
         state = {
             "fingerprint": self.fingerprint, "iteration": session.iteration,
@@ -73,8 +67,7 @@ class Checkpoint:
         (self.run.path / CHECKPOINT).unlink(missing_ok=True)
 
     def _check(self, arrays: Arrays) -> None:
-        bad = [name for name, values in arrays.items() if not _is_finite(values)]
-        if bad:
+        if bad := [name for name, values in arrays.items() if not _is_finite(values)]:
             raise broken(self.run,
                          f"{', '.join(bad)} at step {self.session.iteration}: not finite")
 
@@ -89,14 +82,11 @@ class Checkpoint:
         step.model.adam.upload(_fields(arrays, "m", LEARNED), _fields(arrays, "v", LEARNED))
         step.model.adam.load_lag({name: arrays[f"adam.{name}"] for name in LAG},
                                  state["iteration"])
-        step.statistics.grad_norm_sum.write(arrays["statistics.grad_norm_sum"])
-        step.statistics.seen_count.write(arrays["statistics.seen_count"])
+        for name in STATISTICS:
+            getattr(step.statistics, name).write(arrays[f"statistics.{name}"])
         for part in session.parts:
-            try:
-                part.load({name.partition(".")[2]: values for name, values in arrays.items()
-                           if name.startswith(f"{part.name}.")}, session)
-            except KeyError as error:
-                raise KeyError(f"{part.name}.{error.args[0]}") from None
+            part.load({name.partition(".")[2]: values for name, values in arrays.items()
+                       if name.startswith(f"{part.name}.")}, session)
         step.skipped.load(state["skipped"])
         step.pixel_pairs, session.iteration = state["pixel_pairs"], state["iteration"]
         self.clock.load(state)
@@ -107,21 +97,20 @@ class Checkpoint:
             self.deadline.load(state["budget"])
 
 
-def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays,
-                    state: dict[str, Any]) -> Gaussians:
-    """The gaussians in the arrays and state of a run's checkpoint, in the units of training;
-    `record` is option -> value. InputError if the checkpoint or the options are damaged."""
+def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays) -> Gaussians:
+    """The gaussians in the arrays of a run's checkpoint, in the units of training; `record` is
+    option -> value. InputError if the checkpoint or the options are damaged."""
     try:
-        for key, (kinds, least) in STATE.items():
-            value = state[key]
-            if not isinstance(value, kinds) or least is not None and (
-                    isinstance(value, bool) or not least <= value < 2**63):
-                raise ValueError(f"{key} ({str(value)[:20]!r})")
-        degree = checked(str(run.path / OPTIONS), "sh_degree", record["sh_degree"])
-        return gaussians_of(arrays, degree)
+        return gaussians_of(
+            arrays, checked(str(run.path / OPTIONS), "sh_degree", record["sh_degree"]))
     except (KeyError, ValueError) as error:
-        raise InputError(f"{run.path}: its checkpoint lacks a good {error}; "
-                         "start again with --overwrite") from None
+        raise damaged(run, error) from None
+
+
+def damaged(run: RunFolder, error: Exception) -> InputError:
+    """The InputError of a checkpoint that lacks something."""
+    return InputError(f"{run.path}: its checkpoint lacks a good {error}; start again with "
+                      "--overwrite")
 
 
 def latest_model(run: RunFolder) -> Gaussians:
@@ -130,7 +119,7 @@ def latest_model(run: RunFolder) -> Gaussians:
     if run.has_model:
         return run.load_model()
     record = run.read_options()
-    gaussians = saved_gaussians(run, record, *run.load_checkpoint())
+    gaussians = saved_gaussians(run, record, run.load_checkpoint()[0])
     try:
         return gaussians.scaled(float(record["extent"])).located(record["offset"])
     except (KeyError, TypeError, ValueError) as error:

@@ -12,8 +12,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-
 from clsplat.config.option import is_auto
 from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted
@@ -31,13 +29,12 @@ from clsplat.io.scenes.read import fingerprint
 from clsplat.options import TrainOptions
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
-from clsplat.schedule import Plan
 from clsplat.training.budget import Deadline, evaluation_seconds
-from clsplat.training.checkpoint import Checkpoint, Saved, saved_gaussians
+from clsplat.training.checkpoint import Checkpoint, Saved, damaged, saved_gaussians
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
-from clsplat.training.part import Part, TrainingSample
-from clsplat.training.photos import THREADS, epoch_order, size_note
+from clsplat.training.part import Part
+from clsplat.training.photos import THREADS, size_note
 from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Clock, Evaluator, Recorder, broken
 from clsplat.training.session import Session
@@ -75,7 +72,6 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                         watcher=watcher, on_save=on_save, parts=parts)
     with training.resumable():
         training.record()
-        training.begin()
         training.run_to_end()
 
 
@@ -113,16 +109,15 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     if state.get("fingerprint") != record["fingerprint"]:
         raise InputError(f"{run.path}: its checkpoint is of another scene; put back the run's own, "
                          "or start again with --overwrite")
-    gaussians = saved_gaussians(run, {"sh_degree": options.sh_degree, **record}, arrays, state)
+    gaussians = saved_gaussians(run, record, arrays)
     try:
         training = Training(scene, options, device, run, progress, gaussians, callbacks,
                             watcher, state["level"], on_save, parts)
         training.checkpoint.load(arrays, state)
-        arrays.clear()
-        del gaussians
     except KeyError as error:
-        raise InputError(f"{run.path}: its checkpoint lacks {error}; "
-                         "start again with --overwrite") from None
+        raise damaged(run, error) from None
+    arrays.clear()
+    del gaussians
     run.rewind(training.session.iteration)
     run.note_scene(scene.path)
     training.evaluator.evaluated_at = max(
@@ -165,16 +160,14 @@ class Training:
                 self.session, self.evaluator.final_metrics)) if options.time_budget else None
         self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline,
                                      fingerprint(scene))
-        self._visits = self.session.visits()
-        self._epoch = -1, np.zeros(0, np.int64)  # the latest one, and the order of its views
         self._measured: list[Measured] = []  # by the latest step
         progress.phase("compiling kernels")  # of the first step
 
     def record(self) -> None:
-        """Write the options and the first records of a new run, and show its warnings."""
+        """Write the options and the first records of a new run, show its warnings, and begin."""
         session, (scene, options) = self.session, self._given
-        warnings = find_warnings(session.scene, session.prepared.thumbnails,
-                                 session.model.rows["opacity_logits"].download())
+        warnings = list(find_warnings(session.scene, session.prepared.thumbnails,
+                                      session.step.count))
         self.run.write_options({**dataclasses.asdict(options),
                                 **trained_on(scene, options.init, session.device, self.is_stage),
                                 "decisions": session.decisions.values})
@@ -187,6 +180,7 @@ class Training:
         for text in warnings:
             self.recorder.log("warning", text=text)
             self.progress.message(f"{WARNING}{text}")
+        self.begin()
 
     def run_to_end(self) -> None:
         """Take steps until the end, `stop_at` or Ctrl-C, which waits for its step; then save.
@@ -277,7 +271,7 @@ class Training:
         batch = session.options.batch
         if session.iteration * batch % len(session.train_views) < batch:  # an epoch has ended
             session.recentre()
-        self._measured = step.run(iteration, plan, self._samples(plan))
+        self._measured = step.run(iteration, plan, session.samples(plan))
         self.progress.phase(training_at(plan.level))
         grown = step.densify(iteration, plan, session.schedule, session.scoring_views)
         session.iteration = iteration
@@ -309,27 +303,6 @@ class Training:
     def latest_values(self) -> dict[str, float]:
         """The terms of the loss at the latest step; waits. InputError if one is not finite."""
         return self.recorder.check(self._measured)
-
-    def view_of(self, number: int) -> int:
-        """Index of the number-th view (from 1) that is trained on.
-
-        Epochs are shuffled and contain each view once, or in blocks of a city more or less often
-        (`Part.visits`); a step takes the next options.batch views.
-        """
-        visits = self._visits
-        epoch, place = divmod(number - 1, len(visits))
-        if self._epoch[0] != epoch:
-            self._epoch = epoch, epoch_order(self.session.options.seed, epoch, visits)
-        return int(self._epoch[1][place])
-
-    def _samples(self, plan: Plan) -> Iterator[TrainingSample]:
-        """The samples of the next step; begins to read the photo that follows each."""
-        taken = self.session.iteration * self.session.options.batch
-        for number in range(taken + 1, taken + 1 + self.session.options.batch):
-            sample = self.session.sample(self.view_of(number), number)
-            if not self.session.photos.resident:
-                self.session.expect(self.view_of(number + 1), number + 1, plan)
-            yield sample
 
     def _observe(self) -> tuple[dict[str, float] | None, dict[str, Any] | None]:
         """The scene frequency, if that is measured after this step, and what the schedule, to which

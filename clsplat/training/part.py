@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.device import Array
@@ -176,9 +177,9 @@ class Part:
         """Follow a change of the `model`, after it. `growth` is the round that made its rows;
         None: they are the initial ones, or have moved since."""
 
-    def visits(self, views: Sequence[View]) -> NDArray[Any] | None:
-        """How often each of `views` is trained on, in any unit; None: as often as every other."""
-        return None
+    def visits(self, views: Sequence[View]) -> NDArray[Any]:
+        """How often each of `views` is trained on, in any unit."""
+        return np.ones(len(views))
 
     # --- between steps; these may wait for the device
 

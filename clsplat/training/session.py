@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsplat.device import Device
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
@@ -24,7 +23,7 @@ from clsplat.training.model import Model
 from clsplat.training.part import Part, TrainingSample, ViewPass, overriding
 from clsplat.training.parts import parts_of
 from clsplat.training.parts.exposures import PhotoResponses
-from clsplat.training.photos import Photos, decoded
+from clsplat.training.photos import Photos, decoded, epoch_order
 from clsplat.training.progress import SilentProgress
 from clsplat.training.start.initialise import first_gaussians
 from clsplat.training.start.prepare import PreparedScene
@@ -65,6 +64,7 @@ class Session:
             part.begin(self)
         model = Model(device, gaussians, options.engine, options.optimizer == "dense")
         self.step = Step(self.renderer, model, self.scene.extent, options, self.parts)
+        self._epoch = -1, np.zeros(0, np.int64)  # the latest one, and the order of its views
         self.use_level(self.photos.level)
 
     @classmethod
@@ -93,14 +93,6 @@ class Session:
         """The part of a kind; None: there is none."""
         return next((part for part in self.parts if isinstance(part, kind)), None)
 
-    def visits(self) -> NDArray[np.float64]:
-        """How often each training view is trained on, in some unit."""
-        visits = np.ones(len(self.train_views))
-        for part in self.parts:
-            if (more := part.visits(self.train_views)) is not None:
-                visits = visits * more
-        return visits
-
     def use_level(self, level: float) -> bool:
         """Train on images `level` times smaller from now on; returns whether that is a change."""
         if level == self.level:
@@ -122,12 +114,32 @@ class Session:
         return TrainingSample(view, self.cameras[view], self.photos[view],
                               self.train_views[view].may_have_mask, number)
 
-    def expect(self, view: int, number: int, plan: Plan) -> None:
-        """Begin to read the photos that a step on a view will need."""
-        self.photos.expect(view)
-        for part in self.parts:
-            for other in part.read_ahead(plan, view, number):
-                self.photos.expect(other)
+    def samples(self, plan: Plan) -> Iterator[TrainingSample]:
+        """The samples of the next step, with this plan; begins to read the photos that follow each.
+
+        Epochs are shuffled and contain each view once, or in blocks of a city more or less often
+        (`Part.visits`); a step takes the next options.batch views.
+        """
+        taken = self.iteration * self.options.batch
+        for number in range(taken + 1, taken + 1 + self.options.batch):
+            sample = self.sample(self._view_of(number), number)
+            if not self.photos.resident:
+                following = self._view_of(number + 1)
+                self.photos.expect(following)
+                for part in self.parts:
+                    for other in part.read_ahead(plan, following, number + 1):
+                        self.photos.expect(other)
+            yield sample
+
+    def _view_of(self, number: int) -> int:
+        """Index of the number-th view (from 1) that is trained on."""
+        epoch, place = divmod(number - 1, len(self.train_views))
+        if self._epoch[0] != epoch:
+            visits = np.ones(len(self.train_views))
+            for part in self.parts:
+                visits = visits * part.visits(self.train_views)
+            self._epoch = epoch, epoch_order(self.options.seed, epoch, visits)
+        return int(self._epoch[1][place])
 
     def predicted(self) -> Predicted | None:
         """The responses of all views, for an evaluation; None without exposures."""

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.config.option import AUTO, MOST_STEPS
-from clsplat.constants import ALPHA_STEPS
 from clsplat.covisibility.photometry import LUMA, colour_disagreement
 from clsplat.covisibility.source_views import photos_of_a_point
 from clsplat.device import Device
@@ -24,7 +23,6 @@ from clsplat.scene import LEAST_PARALLAX, Scene, View
 from clsplat.schedule import (
     SceneFacts,
     Schedule,
-    planned_steps,
     scaled_steps,
     schedule_of,
     worthwhile_steps,
@@ -43,8 +41,6 @@ CELLS = 8  # across a photo, to measure how much of it the points cover
 FEW_PHOTOS, FEW_POINTS = 10, 100
 LEAST_COVER = 0.05  # of a photo's cells; 0.6 to 1 in four aerial and street scenes
 LEAST_CONTRAST = 2.0  # grey levels, standard deviation: less is a uniform photo
-LEAST_SMOOTHNESS = 0.2  # correlation of neighbouring pixels: 0.65 to 0.98 in those scenes
-FAINTEST = -np.log(ALPHA_STEPS - 1.0)  # logit of 1 / ALPHA_STEPS: nothing fainter is drawn
 RUNS, RUN = 4, 12  # of photos that follow each other, and so show the same places
 
 
@@ -160,8 +156,10 @@ def find_decisions(survey: Survey, device: Device | None = None, given: Sequence
     facts, schedule = scene_facts(scene, views, thumbnails), schedule_of(options.schedule)
     for part in given:
         facts = part.facts(facts, scene, views, None)
-    length, most = _steps(len(views), options, facts, is_stage(options, given))
-    options = scaled_steps(replace(options, iterations=length.value))
+    steps, worthwhile, reason = worthwhile_steps(options, facts, len(views),
+                                                 is_stage(options, given))
+    most = min(MOST_STEPS, max(1, round(worthwhile * options.steps_scale)))
+    options = scaled_steps(replace(options, iterations=steps))
     survey = survey._replace(options=options)
     of_parts = {name: decision for part in (*PARTS, *map(registered_part, options.add_parts))
                 for name, decision in part.decide(survey).items()}
@@ -170,7 +168,7 @@ def find_decisions(survey: Survey, device: Device | None = None, given: Sequence
     start = Decision(*chosen_start(survey, compared))
     if start.value == "dense":
         facts = replace(facts, count=planned_count(limit.value, facts.pixels, options))
-    parts = {"steps": length, "init": start,
+    parts = {"steps": Decision(steps, reason), "init": start,
              "levels": Decision(*schedule.planned_levels(options, facts)), "gaussians": limit,
              "sh_degree": requested(options.sh_degree), **of_parts}
     options = replace(options, **{name: parts[name].value for name in ("init", *of_parts)})
@@ -186,17 +184,6 @@ def is_stage(options: RunOptions, parts: Iterable[Part]) -> bool:
     return options.coarse or any(part.is_stage for part in parts)
 
 
-def _steps(photos: int, options: ScheduledOptions, facts: SceneFacts, stage: bool
-           ) -> tuple[Decision, int]:
-    """(The number of steps before `steps_scale`, the most with it). A stage takes as many as its
-    options say."""
-    if stage:  # its photos need not be compared
-        return Decision(*planned_steps(options, photos)), MOST_STEPS
-    steps, most, reason = worthwhile_steps(options, facts, photos)
-    scaled = max(1, round(most * options.steps_scale)) if most else MOST_STEPS
-    return Decision(steps, reason), min(MOST_STEPS, scaled)
-
-
 def _engine(facts: SceneFacts, options: ScheduledOptions, device: Device) -> Decision:
     """The Adam engine: on the device if the largest model fits."""
     if options.engine != AUTO:
@@ -210,39 +197,29 @@ def _engine(facts: SceneFacts, options: ScheduledOptions, device: Device) -> Dec
                     f"of the device's {available / 2**20:,.0f}")
 
 
-def find_warnings(scene: Scene, thumbnails: Thumbnails, opacity_logits: NDArray[np.floating]
-                  ) -> list[str]:
+def find_warnings(scene: Scene, thumbnails: Thumbnails, count: int) -> Iterator[str]:
     """Find what keeps a scene from becoming a good model, but stops no training: one sentence each.
-    Thumbnails are of its training views, and opacity_logits [N] of the initial gaussians."""
-    chosen, photos = thumbnails.sampled(SAMPLED_PHOTOS)
-    problems = (scene.notes, _starting(scene, len(thumbnails.views), opacity_logits),
-                _cover(scene.points, chosen), _photos(chosen, list(photos)))
-    return [text for texts in problems for text in texts]
-
-
-def _starting(scene: Scene, photos: int, opacity_logits: NDArray[np.floating]) -> Iterator[str]:
-    """Too few photos or gaussians, gaussians that are too faint, and photos from one place."""
-    gaussians, faint = len(opacity_logits), np.count_nonzero(opacity_logits < FAINTEST)
-    if photos < FEW_PHOTOS:
-        yield f"only {photos} training photos: 20 or more make a good model"
-    if gaussians < FEW_POINTS:
-        yield (f"only {gaussians} initial gaussians: growth has little to start from; reconstruct "
+    Thumbnails are of its training views; `count` is the number of initial gaussians."""
+    yield from scene.notes
+    if len(thumbnails.views) < FEW_PHOTOS:
+        yield f"only {len(thumbnails.views)} training photos: 20 or more make a good model"
+    if count < FEW_POINTS:
+        yield (f"only {count} initial gaussians: growth has little to start from; reconstruct "
                "the scene with more points")
-    if faint > gaussians / 2:
-        yield (f"{faint} of {gaussians} initial gaussians are too faint to be drawn, and what is "
-               "not drawn does not learn")
     if not scene.parallax >= LEAST_PARALLAX:
         yield ("the photos were taken from one place (apart by no more than "
                f"{scene.parallax:.1g} of the points' distance): depth cannot be learned")
-
-
-def _cover(points: NDArray[np.floating], views: Sequence[View]) -> Iterator[str]:
-    """The share of the photos that the sparse points cover."""
-    points = points[::-(-len(points) // SAMPLED_POINTS)]
+    views, photos = thumbnails.sampled(SAMPLED_PHOTOS)
+    points = scene.points[::-(-len(scene.points) // SAMPLED_POINTS)]
     cover = np.mean([_covered(view.camera, points) for view in views])
     if cover < LEAST_COVER:
         yield (f"the sparse points cover {100 * cover:.0f} % of the photos: check that they belong "
                "to these cameras, and the units of both")
+    plain = [view.name for view, photo in zip(views, photos)
+             if np.tensordot(LUMA, photo[:3], 1).std() < LEAST_CONTRAST]
+    if plain:
+        yield (f"{len(plain)} of {len(views)} sampled photos are of one colour, such as "
+               f"{plain[0]}: nothing can be learned from them")
 
 
 def _covered(camera: Camera, points: NDArray[np.floating]) -> float:
@@ -251,26 +228,3 @@ def _covered(camera: Camera, points: NDArray[np.floating]) -> float:
     cells = CELLS * pixels[depths > 0] / (camera.width, camera.height)
     cells = cells[((cells >= 0) & (cells < CELLS)).all(axis=1)].astype(int)
     return len(np.unique(cells @ (CELLS, 1))) / CELLS**2
-
-
-def _photos(views: Sequence[View], colours: Sequence[NDArray[np.uint8]]) -> Iterator[str]:
-    """Photos that are uniform, all the same, or noise."""
-    photos = [np.tensordot(LUMA, photo[:3], 1) for photo in colours]
-    plain = [view.name for view, photo in zip(views, photos) if photo.std() < LEAST_CONTRAST]
-    if plain:
-        yield (f"{len(plain)} of {len(views)} sampled photos are of one colour, such as "
-               f"{plain[0]}: nothing can be learned from them")
-        return
-    if len(views) > 1 and all(np.array_equal(photo, photos[0]) for photo in photos):
-        yield "all sampled photos are the same: photos from different places must differ"
-    noisy = [view.name for view, photo in zip(views, photos)
-             if _smoothness(photo) < LEAST_SMOOTHNESS]
-    if noisy:
-        yield (f"{len(noisy)} of {len(views)} sampled photos are noise, such as {noisy[0]}: "
-               "no view agrees with another")
-
-
-def _smoothness(photo: NDArray[np.floating]) -> float:
-    """Correlation of horizontally neighbouring pixels of a grey photo [H, W]."""
-    left, right = photo[:, :-1] - photo.mean(), photo[:, 1:] - photo.mean()
-    return float((left * right).mean() / photo.var())

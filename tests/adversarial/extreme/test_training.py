@@ -65,8 +65,8 @@ def test_what_cannot_be_good_is_said(city, tmp_path, name):
     scene, options = prepared(city, case, "constant", tmp_path)
     options = options_of(**options)
     scene = scene.reduced(options.downscale)
-    said = find_warnings(scene, Thumbnails(scene.split(options.test_every)[0]),
-                         initial_gaussians(scene, options).opacity_logits)
+    said = list(find_warnings(scene, Thumbnails(scene.split(options.test_every)[0]),
+                              initial_gaussians(scene, options).count))
     assert len(said) == len(case.warns), said
     for text, part in zip(said, case.warns):
         assert part in text and "\n" not in text and len(text) < 160
