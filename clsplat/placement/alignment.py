@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from clsplat.placement.similarity import Similarity, cross_matrix, fitted, rotation_to
 from clsplat.placement.up import UP, Vertical
 
 LEAST_POSITIONS = 3
@@ -36,6 +35,24 @@ LARGEST_CHANGE = 1e6  # of the scale from a start, in both directions
 
 
 @dataclass(frozen=True, eq=False)
+class Similarity:
+    """x -> scale * rotation @ x + translation.
+
+    Attributes
+    ----------
+    scale, rotation, translation : above 0, float64[3, 3], and float64[3] in target units.
+    """
+
+    scale: float
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+
+    def __call__(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Transform points float[N, 3]."""
+        return self.scale * np.asarray(points, np.float64) @ self.rotation.T + self.translation
+
+
+@dataclass(frozen=True, eq=False)
 class Alignment:
     """How a reconstruction lies among measured positions.
 
@@ -46,7 +63,6 @@ class Alignment:
         do; the others are outliers.
     horizontal, vertical : metres, RMS of the residuals of those that are used, along the ground and
         upwards; vertical is nan without heights.
-    levelled_by_heights : whether the heights determine the scene's tilt better than the cameras.
     stands : whether it is neither upside down nor tilted far from the vertical that is known.
     size : metres, the diagonal along the ground of the positions that are used.
     """
@@ -56,7 +72,6 @@ class Alignment:
     used_heights: NDArray[np.bool_]
     horizontal: float
     vertical: float
-    levelled_by_heights: bool
     stands: bool
     size: float
 
@@ -126,7 +141,7 @@ class _Problem:
         return [start for start in (self._level_start(rng), self._free_start(rng)) if start]
 
     def _level_start(self, rng: np.random.Generator) -> Similarity | None:
-        rotation = rotation_to(self.up, UP)
+        rotation = Rotation.align_vectors(UP, self.up)[0].as_matrix()
         turned = self.places @ rotation.T
         place, position = (values[:, 0] + 1j * values[:, 1]
                            for values in (turned, self.positions))
@@ -152,7 +167,7 @@ class _Problem:
         rows = np.flatnonzero(self.has_height)
         best, least = None, np.inf
         for sample in _samples(rng, len(rows), 3):
-            similarity = fitted(self.places[rows[sample]], self.positions[rows[sample]])
+            similarity = _fitted(self.places[rows[sample]], self.positions[rows[sample]])
             if similarity is None:
                 continue
             away = similarity(self.places[rows]) - self.positions[rows]
@@ -166,9 +181,12 @@ class _Problem:
         horizontal, vertical = self.residuals(similarity)
         ground = np.linalg.norm(horizontal, axis=1) / self.horizontal_std
         height = (np.abs(vertical) / self.vertical_std)[self.has_height]
-        return (max(_rms_within(ground, _typical(ground) / 1.552) / np.sqrt(2), self.least_std),
-                max(_rms_within(height, _typical(height) / 1.036), self.least_std)
-                if len(height) else np.inf)
+        # what MOST_RIGHT of the lengths do not exceed is 1.552 standard deviations along the ground
+        # (Rayleigh distribution) and 1.036 in height (half-normal)
+        ground_std, height_std = (
+            _rms(values[values <= OUTLIER * _typical(values) / quantile]) if len(values) else np.inf
+            for values, quantile in ((ground, 1.552), (height, 1.036)))
+        return max(ground_std / np.sqrt(2), self.least_std), max(height_std, self.least_std)
 
     def refined(self, start: Similarity) -> Similarity | None:
         """The similarity at which reweighted least squares end; None if they diverge."""
@@ -208,7 +226,7 @@ class _Problem:
         root = np.sqrt(self._weights(similarity, horizontal, vertical))[:, :, None]
         up = similarity.rotation @ self.up
         prior = np.zeros((2, 7))
-        prior[:, 1:4] = -cross_matrix(up)[:2]
+        prior[:, 1:4] = np.cross(up, np.eye(3))[:2]
         tilt = self._tilt(similarity)
         weight = 1 / np.sqrt(self.up_std**2 + tilt**2 / CAUCHY)
         matrix = np.concatenate([(root * columns).reshape(-1, 7), weight * prior])
@@ -216,11 +234,8 @@ class _Problem:
         vector = np.concatenate([(root[:, :, 0] * errors).ravel(), weight * tilt * away_from_up])
         if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
             return None
-        try:
-            solution: NDArray[np.float64] = -np.linalg.lstsq(matrix, vector, rcond=1e-12)[0]
-        except np.linalg.LinAlgError:
-            return None
-        return solution if np.isfinite(solution).all() else None
+        step: NDArray[np.float64] = -np.linalg.lstsq(matrix, vector, rcond=1e-12)[0]
+        return step
 
     def _weights(self, similarity: Similarity, horizontal: NDArray[np.float64],
                  vertical: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -252,15 +267,10 @@ class _Problem:
         level = self.has_height & (np.abs(vertical) <= OUTLIER * height_std * self.vertical_std)
         used, used_heights = np.zeros((2, len(self.known)), bool)
         used[self.known], used_heights[self.known] = right, level
-        weights = self._weights(similarity, horizontal, vertical)
-        away = similarity(self.places)
-        arms = away[:, :2] - away[right, :2].mean(axis=0)
-        # how well the heights determine the tilt, about the axis about which it is worst
-        information = np.linalg.eigvalsh((arms * weights[:, 2:]).T @ arms)[0]
         flat = self.positions[right, :2]
         return Alignment(
             similarity, used, used_heights, _rms(ground[right]), _rms(vertical[right & level]),
-            bool(information > 1 / self.up_std**2), self.vertical.stands(similarity.rotation),
+            self.vertical.stands(similarity.rotation),
             float(np.linalg.norm(np.ptp(flat, axis=0))) if len(flat) else 0.0)
 
     def is_consistent(self, result: Alignment) -> bool:
@@ -269,6 +279,22 @@ class _Problem:
         flat = self.positions[result.used[self.known], :2]
         return len(flat) >= LEAST_POSITIONS and bool(result.horizontal <= LARGEST_SHARE * np.sqrt(
             ((flat - flat.mean(axis=0))**2).sum(axis=1).mean()))
+
+
+def _fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similarity | None:
+    """The similarity with the least squared distances between points [N, 3] (Umeyama 1991); None if
+    they determine none."""
+    from_middle, to_middle = source.mean(axis=0), target.mean(axis=0)
+    centred = source - from_middle
+    spread = float((centred**2).sum())
+    left, values, right = np.linalg.svd((target - to_middle).T @ centred)
+    if not values[1] > 1e-9 * values[0] or not spread > 0:
+        return None
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+    rotation = (left * signs) @ right
+    scale = float((values * signs).sum()) / spread
+    return Similarity(scale, rotation, to_middle - scale * rotation @ from_middle
+                      ) if scale > 0 else None
 
 
 def _samples(rng: np.random.Generator, count: int, size: int) -> NDArray[np.intp]:
@@ -281,14 +307,7 @@ def _samples(rng: np.random.Generator, count: int, size: int) -> NDArray[np.intp
 
 
 def _typical(values: NDArray[np.float64]) -> float:
-    """The quantile MOST_RIGHT of lengths of residuals. With a standard deviation of 1 it is 1.552
-    for vectors along the ground (Rayleigh distribution) and 1.036 for heights (half-normal)."""
     return float(np.quantile(values, MOST_RIGHT))
-
-
-def _rms_within(values: NDArray[np.float64], std: float) -> float:
-    """RMS of the values that are no outliers by a first estimate of their standard deviation."""
-    return _rms(values[values <= OUTLIER * std])
 
 
 def _rms(values: NDArray[np.float64]) -> float:

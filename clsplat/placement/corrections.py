@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from clsplat.camera import Camera
-from clsplat.placement.similarity import cross_matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +75,7 @@ def without_common_motion(given: Sequence[Camera], corrections: Sequence[Correct
         # all that turns by a small vector a about the middle, and shifts by b: the centres by
         # a x arm + b, and what a camera sees by -R a
         rows += [np.hstack([-np.eye(3) * depth, np.zeros((3, 3))]),
-                 np.hstack([-cross_matrix(arm), np.eye(3)])]
+                 np.hstack([np.cross(arm, np.eye(3)), np.eye(3)])]
         values += [back @ correction.turn * depth, back @ correction.shift]
     a, b = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0].reshape(2, 3)
     turned = Rotation.from_rotvec(a).as_matrix()

@@ -22,10 +22,14 @@ from clsplat.io.georeference.adjustment import (
 from clsplat.io.georeference.control_points import ControlPoints
 from clsplat.io.georeference.crs import UTM_EPSG, heights_of, horizontal, map_positions, outside
 from clsplat.io.photos.metadata import PhotoMetadata
-from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, LEAST_POSITIONS, Alignment
+from clsplat.placement.alignment import (
+    INDEPENDENT_HEIGHTS,
+    LEAST_POSITIONS,
+    Alignment,
+    Similarity,
+)
 from clsplat.placement.plausible import Guess, Implausible, believed, doubts
-from clsplat.placement.similarity import Similarity, rotation_to
-from clsplat.placement.up import CAMERA_DEGREES, UP, Vertical, gimbal_up
+from clsplat.placement.up import UP, Vertical, gimbal_up
 
 LEAST_GIMBALS = 0.5  # share of the photos whose gimbals must be known
 UNKNOWN_STD = 3.0  # metres, of GPS that does not state it, among photos that do
@@ -115,15 +119,11 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
         notes = [f"georeferenced by the {source}: residual {result.horizontal:.2f} m along the "
                  f"ground{height}"]
         warnings = doubts(result, measured.positions, known_up, "the flight")
-    notes = [*control.notes, *notes, *measured.notes]
-    if not result.levelled_by_heights:
-        source_of_up = "cameras" if known_up.degrees == CAMERA_DEGREES else "gimbals"
-        notes.append(f"heights do not show which way is up; the {source_of_up} do")
     east, north, height_of_origin = offset.tolist()
     return Placed(Georeference(
         measured.crs, (east, north, height_of_origin), source, errors[0],
         "gcp" if control.points else "gps", round(result.size, 3), measured.vertical, found,
-        tuple(warnings)), UP, tuple(notes), tuple(warnings))
+        tuple(warnings)), UP, (*control.notes, *notes, *measured.notes), tuple(warnings))
 
 
 def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, PhotoMetadata],
@@ -137,7 +137,8 @@ def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, Photo
     why : it has no place.
     """
     target = np.array([0.0, -1.0, 0.0])
-    rotation = rotation_to(_vertical(*_content(reconstruction), metadata, None).up, target)
+    up = _vertical(*_content(reconstruction), metadata, None).up
+    rotation = Rotation.align_vectors(target, up)[0].as_matrix()
     _transform(reconstruction, Similarity(1.0, rotation, np.zeros(3)))
     notes = (f"not georeferenced: {why}",)
     return Placed(None, target, notes, () if why.expected else notes)

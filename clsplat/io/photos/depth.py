@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Lens
 from clsplat.errors import InputError
+from clsplat.io.fields import reading
 from clsplat.io.npz import read_array
 from clsplat.io.photos.images import window_of
 from clsplat.io.photos.lenses import pixel_map, rays_of
 from clsplat.io.photos.masks import check_shape, photo_size
 from clsplat.io.photos.photo import first_channel
-from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular
 from clsplat.scene import Scene, View
 
@@ -72,14 +72,11 @@ def undistorted_depth(view: View, pixels: NDArray[np.float32]) -> NDArray[np.flo
     float32[H, W] in the scene's original units; 0 is no depth."""
     depth, lens = _stored(view), view.lens
     assert lens is not None
-    height, width = depth.shape
-    x, y = pixels
-    shown = np.isfinite(x)
-    columns = np.nan_to_num(x) * np.float32(width / lens.size[0])
-    rows = np.nan_to_num(y) * np.float32(height / lens.size[1])
-    found = depth[np.clip(rows.astype(int), 0, height - 1),
-                  np.clip(columns.astype(int), 0, width - 1)]
-    return np.where(shown, found / _forward(lens), 0).astype(np.float32)
+    shown = np.isfinite(pixels[0])
+    columns, rows = (
+        np.clip((np.nan_to_num(places) * np.float32(side / size)).astype(int), 0, side - 1)
+        for places, side, size in zip(pixels, depth.shape[::-1], lens.size))
+    return np.where(shown, depth[rows, columns] / _forward(lens), 0).astype(np.float32)
 
 
 def _forward(lens: Lens) -> NDArray[np.float64]:
@@ -103,12 +100,8 @@ def _stored(view: View) -> NDArray[np.float32]:
 
 
 def _read_npy(path: Path) -> NDArray[Any]:
-    try:
-        with open_regular(path) as file:
-            values = read_array(file, path.stat().st_size)
-    except Exception as error:  # numpy raises many kinds
-        raise InputError(f"{path}: not a NumPy array, or damaged ({reason(error)}); save it again"
-                         ) from None
+    with reading(path, "a NumPy array", "save it again"), open_regular(path) as file:
+        values = read_array(file, path.stat().st_size)
     if values.ndim != 2 or values.dtype.kind not in "iuf" or not values.size:
         raise InputError(f"{path}: holds {values.dtype}{list(values.shape)}, not numbers [H, W]; "
                          "save the depths as such")

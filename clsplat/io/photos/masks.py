@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.io.photos.images import image_size, read_alpha
 from clsplat.io.photos.photo import Source, opened
-from clsplat.io.photos.resample import resample
+from clsplat.io.photos.resample import joined, resample
 from clsplat.io.scenes.sources import PHOTO_SUFFIXES
 from clsplat.scene import Scene, View
 
@@ -139,15 +139,14 @@ def read_mask(source: Source, name: str | Path, photo: tuple[int, int]) -> NDArr
     """Read which pixels of a stored photo of this size (width, height) count, by its mask: bool[h,
     w] of any size. The name is for messages."""
     with opened(source) as mask:
-        bright, row, most = np.empty((mask.height, mask.width), bool), 0, 0
-        for band in mask.bands(0, mask.height):
-            grey = band.max(axis=2)
-            bright[row:row + len(band)] = grey >= LEAST_BRIGHT
-            row, most = row + len(band), max(most, int(grey.max()))
-    check_shape(name, "mask", bright.shape[::-1], photo)
-    if most == 1:
+        size = mask.width, mask.height
+        grey = joined((band.max(axis=2, keepdims=True) for band in mask.bands(0, mask.height)),
+                      size, 1)[:, :, 0]
+    check_shape(name, "mask", size, photo)
+    if grey.max() == 1:
         raise InputError(f"{name}: its pixels are 0 and 1 of 255, which are both dark; write 255 "
                          "where the photo counts")
+    bright: NDArray[np.bool_] = np.greater_equal(grey, LEAST_BRIGHT, out=grey.view(bool))
     return bright
 
 

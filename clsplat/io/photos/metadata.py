@@ -95,8 +95,8 @@ def read_metadata(path: str | Path) -> PhotoMetadata:
         return PhotoMetadata(
             photo.width, photo.height,
             photo.orientation if photo.orientation in range(1, 9) else 1,
-            _words(photo, "Make", "Model", "Exif:BodySerialNumber"),
-            _words(photo, "Exif:LensModel", "Exif:FocalLength"),
+            _text(photo, "Make", "Model", "Exif:BodySerialNumber"),
+            _text(photo, "Exif:LensModel", "Exif:FocalLength"),
             _focal_pixels(photo), _calibration(photo), latitude, longitude, _altitude(photo),
             _number(photo, "GPS:AltitudeRef", 3) in (2, 3), _text(photo, "GPS:Status") == "V",
             _gps_std(photo), _number(photo, f"{DJI}GimbalPitchDegree", 360),
@@ -122,31 +122,22 @@ def _number(photo: Photo, name: str, limit: float) -> float | None:
     return values[0] if len(values) == 1 and abs(values[0]) <= limit else None
 
 
-def _text(photo: Photo, name: str) -> str:
-    value = photo.attribute(name)
-    if isinstance(value, float):  # of 32 bits in the file
-        value = f"{value:.6g}"
-    return "" if value is None else " ".join(str(value).split())
-
-
-def _words(photo: Photo, *names: str) -> str:
-    return " ".join(filter(None, (_text(photo, name) for name in names)))
+def _text(photo: Photo, *names: str) -> str:
+    values = [photo.attribute(name) for name in names]
+    return " ".join(" ".join((f"{value:.6g}" if isinstance(value, float) else str(value)).split())
+                    for value in values if value)  # floats have 32 bits in the file
 
 
 def _position(photo: Photo, path: str | Path) -> tuple[float, float] | tuple[None, None]:
     """Latitude and longitude, or twice None: of EXIF or, if that has none or whole seconds with
     which it agrees, of XMP."""
     exif = _degrees(photo, "Latitude", "S", 90), _degrees(photo, "Longitude", "W", 180)
-    longitudes = [_exact(photo, path, DJI + name, 180)  # DJI's older programs misspell it
-                  for name in ("GpsLongitude", "GpsLongtitude")]
-    xmp = (_exact(photo, path, DJI + "GpsLatitude", 90),
-           next((value for value in longitudes if value is not None), None))
     is_whole = not any(part % 1 for name in ("Latitude", "Longitude")
                        for part in _numbers(photo, "GPS:" + name))
-    if None not in xmp and xmp != (0, 0) and (None in exif or is_whole and all(
-            abs(rough - fine) <= UNIT_DEGREES[-1]  # type: ignore[operator]
-            for rough, fine in zip(exif, xmp))):
-        exif = xmp
+    xmp = _xmp_position(photo, path) if None in exif or is_whole else None
+    if xmp and (None in exif or all(abs(rough - fine) <= UNIT_DEGREES[-1]  # type: ignore[operator]
+                                    for rough, fine in zip(exif, xmp))):
+        return xmp
     latitude, longitude = exif
     # a receiver without satellites writes zeros
     if latitude is None or longitude is None or latitude == longitude == 0:
@@ -154,15 +145,19 @@ def _position(photo: Photo, path: str | Path) -> tuple[float, float] | tuple[Non
     return latitude, longitude
 
 
-def _exact(photo: Photo, path: str | Path, name: str, limit: float) -> float | None:
-    """A number of XMP, of which OpenImageIO keeps seven digits: half a metre of a longitude."""
-    value = _number(photo, name, limit)
-    if value is None:
+def _xmp_position(photo: Photo, path: str | Path) -> tuple[float, float] | None:
+    """DJI's latitude and longitude, of which OpenImageIO keeps seven digits: half a metre."""
+    if photo.attribute(DJI + "GpsLatitude") is None:
         return None
     with open_regular(path) as file:
-        found = re.search(rf"{name}\s*(?:=\s*[\"']|>)\s*([-+.\d]+)".encode(), file.read(XMP_BYTES))
-    digits = _finite([found[1]]) if found else []
-    return digits[0] if digits and abs(digits[0] - value) < 1e-4 else value
+        head = file.read(XMP_BYTES)
+    values = [_finite(re.findall(DJI.encode() + name + rb"\s*(?:=\s*[\"']|>)\s*([-+.\d]+)", head))
+              for name in (b"GpsLatitude", b"GpsLongt?itude")]  # older programs misspell it
+    if not all(values):
+        return None
+    (latitude, *_), (longitude, *_) = values
+    is_place = abs(latitude) <= 90 and abs(longitude) <= 180 and (latitude or longitude)
+    return (latitude, longitude) if is_place else None
 
 
 def _degrees(photo: Photo, name: str, negative: str, limit: float) -> float | None:

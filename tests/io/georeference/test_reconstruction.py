@@ -63,8 +63,7 @@ def test_a_bad_fix_is_named(survey):
 def test_without_altitudes_the_cameras_level_the_scene(survey):
     metadata = {name: replace(known, altitude=None) for name, known in survey.metadata().items()}
     reconstruction = survey.reconstruction()
-    placed = place_reconstruction(reconstruction, metadata, ControlPoints())
-    assert placed.notes[1] == "heights do not show which way is up; the cameras do"
+    place_reconstruction(reconstruction, metadata, ControlPoints())
     ground = np.array([point.xyz for point in reconstruction.points3D.values()])
     assert np.ptp(np.quantile(ground[:, 2], (0.05, 0.95))) < 15 < np.ptp(ground[:, 0])
 

@@ -26,7 +26,7 @@ from clsplat.io.georeference.crs import is_local
 from clsplat.io.regular import open_regular, read_regular
 from clsplat.io.scenes.posed import Optics, PosedPhoto, brown, only
 from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene, root_of
-from clsplat.placement.similarity import Similarity
+from clsplat.placement.alignment import Similarity
 from clsplat.scene import Scene
 
 HEAD_BYTES = 4096  # in which the file must show what it is

@@ -27,7 +27,7 @@ from clsplat.io.georeference.crs import (
 from clsplat.io.reason import MOST_CHARACTERS, reason
 from clsplat.io.scenes.posed import Cloud, PosedPhoto, posed_scene, read_cloud
 from clsplat.io.scenes.sources import IMAGES, PHOTO_SUFFIXES, photo_folder
-from clsplat.placement.similarity import Similarity
+from clsplat.placement.alignment import Similarity
 from clsplat.scene import Scene
 
 SCHEME = "file://"

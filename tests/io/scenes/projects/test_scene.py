@@ -6,7 +6,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.scenes.projects.scene import PhotoFiles, on_map, topocentric
-from clsplat.placement.similarity import Similarity
+from clsplat.placement.alignment import Similarity
 
 
 @pytest.fixture
