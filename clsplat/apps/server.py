@@ -27,7 +27,7 @@ import numpy as np
 
 from clsplat.camera import Camera, numbers
 from clsplat.errors import InputError
-from clsplat.io.photos.images import encode_jpeg
+from clsplat.io.photos.images import encode_image
 from clsplat.io.records import plain
 
 LOOPBACK = "127.0.0.1"
@@ -213,7 +213,8 @@ class _Handler(BaseHTTPRequestHandler):
             if request.wants_depth:
                 self._send_json({"depth": answer})
             else:
-                self._send(200, "image/jpeg", encode_jpeg(answer, JPEG_QUALITY))
+                self._send(200, "image/jpeg",
+                           encode_image(answer, "jpg", JPEG_QUALITY, "JPEG"))
 
     def _body(self) -> bytes:
         length = int(self.headers.get("Content-Length") or "")

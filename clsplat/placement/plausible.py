@@ -59,8 +59,7 @@ def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
                        independent_heights=independent_heights)
 
     def miss(found: Alignment) -> float:
-        heights = heights_count and np.isfinite(found.vertical)
-        return float(np.hypot(found.horizontal, found.vertical)) if heights else found.horizontal
+        return float(np.hypot(found.horizontal, np.nan_to_num(found.vertical) * heights_count))
 
     result = attempt(positions)
     question, least = "", np.inf

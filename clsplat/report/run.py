@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsplat.config.option import options_of
 from clsplat.evaluation.pictures import COLOURS, LARGEST_ERROR, Pictures, ShownView
-from clsplat.io.photos.images import encode_jpeg
+from clsplat.io.photos.images import encode_image
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions
 from clsplat.report.charts import drawn, score_chart, step_chart
@@ -138,7 +138,7 @@ def _view(view: ShownView) -> str:
 def jpeg(pixels: NDArray[np.uint8], description: str) -> str:
     """HTML of an image [H, W, 3] with an escaped description."""
     height, width = pixels.shape[:2]
-    data = base64.b64encode(encode_jpeg(pixels, JPEG_QUALITY)).decode()
+    data = base64.b64encode(encode_image(pixels, "jpg", JPEG_QUALITY, "JPEG")).decode()
     return (f'<img alt="{description}" width={width} height={height} style="height: auto" '
             f'src="data:image/jpeg;base64,{data}">')
 

@@ -41,11 +41,6 @@ def eight_bits(pixels: NDArray[np.floating]) -> NDArray[np.uint8]:
     return scaled.astype(np.uint8)
 
 
-def encode_jpeg(pixels: NDArray[Any], quality: int) -> bytes:
-    """Encode an image as the JPEG that `write_image` would write."""
-    return encode_image(pixels, "jpg", quality, "JPEG")
-
-
 def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
                  attributes: Mapping[str, str | int] = MappingProxyType({})) -> bytes:
     """Encode an image as the bytes of a file.

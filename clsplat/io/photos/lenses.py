@@ -5,8 +5,9 @@ length in the middle. A wider fisheye and a panorama get up to six, the faces of
 views of their own.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -76,21 +77,16 @@ def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
     if not any(models):
         lenses = np.full(len(models), None, object)
         return {**arrays, "lenses": lenses, "files": arrays["names"]}
-    known: dict[tuple[Any, ...], dict[str, Lens]] = {}
+    views_of = cache(_lenses)
     rows: list[tuple[int, str, Lens | None]] = []  # photo, face or "", lens
     for index, model in enumerate(models):
-        if model is None:
-            rows.append((index, "", None))
-            continue
-        size = tuple(arrays["sizes"][index].tolist())
-        key = (*model, size)
-        if key not in known:
-            try:
-                known[key] = dict(_lenses(*model, size))
-            except ValueError as error:
-                raise InputError(f"{path}: the camera of image {arrays['names'][index]} cannot be "
-                                 f"undistorted ({error}); reconstruct the scene again") from None
-        rows += [(index, face, lens) for face, lens in known[key].items()]
+        try:
+            rows += [(index, face, lens) for face, lens in (
+                [("", None)] if model is None else
+                views_of(*model, tuple(arrays["sizes"][index].tolist())))]
+        except ValueError as error:
+            raise InputError(f"{path}: the camera of image {arrays['names'][index]} cannot be "
+                             f"undistorted ({error}); reconstruct the scene again") from None
     photos = np.array([index for index, _, _ in rows])
     lenses = np.empty(len(rows), object)
     lenses[:] = [lens for _, _, lens in rows]
@@ -135,7 +131,7 @@ def _observations(model: Mapping[str, NDArray[Any]], photos: NDArray[np.int64],
 
 
 def _lenses(model: str, parameters: tuple[float, ...], size: tuple[int, int]
-            ) -> Iterator[tuple[str, Lens]]:
+            ) -> list[tuple[str, Lens]]:
     """(face or "", lens) for each view of a photo; ValueError if there is none."""
     whole = Lens(model, size, parameters, np.eye(3), *size, (1.0, 1.0), (0.0, 0.0))
     focal = _middle_focal(whole)
@@ -144,9 +140,8 @@ def _lenses(model: str, parameters: tuple[float, ...], size: tuple[int, int]
         with np.errstate(invalid="ignore"):
             middles = [side[len(side) // 2, 2] for side in sides]
         if not _is_wide(model) or min(middles) >= np.cos(np.radians(MOST_DEGREES)):
-            yield "", _single(whole, focal, sides)
-            return
-    yield from _faces(whole, focal)
+            return [("", _single(whole, focal, sides))]
+    return _faces(whole, focal)
 
 
 def _middle_focal(lens: Lens) -> tuple[float, float]:
@@ -158,20 +153,18 @@ def _middle_focal(lens: Lens) -> tuple[float, float]:
     return focal
 
 
-def _faces(whole: Lens, focal: tuple[float, float]) -> Iterator[tuple[str, Lens]]:
+def _faces(whole: Lens, focal: tuple[float, float]) -> list[tuple[str, Lens]]:
     """The faces of a cube that a wide lens or a panorama shows."""
     side = max(1, int(min(2 * max(focal), LARGEST * max(whole.size))))
-    found = False
-    for face, rotation in FACES.items() if side >= SMALLEST * min(whole.size) else ():
-        lens = replace(whole, rotation=np.array(rotation, np.float64), width=side, height=side,
-                       focal=(side / 2, side / 2), centre=(side / 2, side / 2))
-        places = (np.arange(SAMPLES) + 0.5) * side / SAMPLES
-        shown = np.isfinite(_photo_pixels(lens, np.meshgrid(places, places), _least_forward(lens)))
-        if shown.mean() >= LEAST_COVERED:
-            found = True
-            yield face, lens
-    if not found:
+    places = np.meshgrid(*2 * [(np.arange(SAMPLES) + 0.5) * side / SAMPLES])
+    faces = [(face, replace(whole, rotation=np.array(rotation, np.float64), width=side, height=side,
+                            focal=(side / 2, side / 2), centre=(side / 2, side / 2)))
+             for face, rotation in FACES.items()]
+    shown = [(face, lens) for face, lens in faces if np.isfinite(
+        _photo_pixels(lens, places, _least_forward(lens))).mean() >= LEAST_COVERED]
+    if not shown or side < SMALLEST * min(whole.size):
         raise ValueError(f"{whole.model}: the parameters do not describe a lens")
+    return shown
 
 
 def _is_wide(model: str) -> bool:
@@ -192,9 +185,7 @@ def _single(lens: Lens, focal: tuple[float, float], borders: list[NDArray[np.flo
     pixels or, where that would lose too much of the photo, the smallest that has all of it, within
     limits."""
     most = np.tan(np.radians(MOST_DEGREES))
-    with np.errstate(all="ignore"):
-        ends = [ray[:, :2] / np.where(ray[:, 2:] > 0, ray[:, 2:], np.nan) for ray in borders]
-        ends = [end[np.isfinite(end).all(axis=1)] for end in ends]
+    ends = [end[np.isfinite(end).all(axis=1)] for end in map(_tangents, borders)]
     if not all(map(len, ends)):
         raise ValueError(f"{lens.model}: the parameters do not describe a lens")
     left, right, top, bottom = ends
@@ -213,16 +204,19 @@ def _single(lens: Lens, focal: tuple[float, float], borders: list[NDArray[np.flo
                    centre=(-low_x * fx, -low_y * fy))
 
 
+def _tangents(rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    """x/z and y/z [N, 2] of rays; nan or infinite behind the camera."""
+    with np.errstate(all="ignore"):
+        return np.asarray(rays[:, :2] / np.where(rays[:, 2:] > 0, rays[:, 2:], np.nan))
+
+
 def _lost(lens: Lens, inner: Sequence[float]) -> float:
     """The share of the photo's pixels that are outside of a rectangle of x/z and y/z."""
-    width, height = lens.size
     places = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    x, y = np.meshgrid(places * width, places * height)
-    rays = _rays(lens, np.stack([x.ravel(), y.ravel()], axis=1))
-    with np.errstate(all="ignore"):
-        u, v = (rays[:, :2] / np.where(rays[:, 2:] > 0, rays[:, 2:], np.nan)).T
-        kept = (u >= inner[0]) & (v >= inner[1]) & (u <= inner[2]) & (v <= inner[3])
-    return 1 - float(kept.mean())
+    x, y = np.meshgrid(places * lens.size[0], places * lens.size[1])
+    found = _tangents(_rays(lens, np.stack([x.ravel(), y.ravel()], axis=1)))
+    with np.errstate(invalid="ignore"):
+        return 1 - float(((found >= inner[:2]) & (found <= inner[2:])).all(axis=1).mean())
 
 
 def pixel_map(lens: Lens) -> NDArray[np.float32]:

@@ -60,9 +60,9 @@ def _patches(lens: Lens | None, shape: tuple[int, ...], pixels: NDArray[np.float
              ) -> Iterator[Patch]:
     """The weights by which an image [h, w, ...] is undistorted, at pixels of the lens's size."""
     assert lens is not None
-    height, width = shape[:2]
-    scale = np.array([[[width / lens.size[0]]], [[height / lens.size[1]]]], np.float32)
-    return patches(pixels * scale, (width, height), lens.model == PANORAMA)
+    size = shape[1], shape[0]
+    scale = np.divide(size, lens.size).astype(np.float32)[:, None, None]
+    return patches(pixels * scale, size, lens.model == PANORAMA)
 
 
 def undistorted(scene: Scene, folder: Path, threads: int = 1, make: bool = True) -> Scene:
@@ -75,15 +75,14 @@ def undistorted(scene: Scene, folder: Path, threads: int = 1, make: bool = True)
         hold as many.
     make : whether files that are missing or out of date are made; else their views keep the lens.
     """
-    distorted = [view for view in scene.views if view.lens and isinstance(view.source, Path)]
-    if not distorted:
+    groups: dict[Lens, list[View]] = {}  # views that share a map of pixels
+    for view in scene.views:
+        if view.lens and isinstance(view.source, Path):
+            groups.setdefault(view.lens, []).append(view)
+    if not groups:
         return scene
     if make:
         make_folder(folder)
-    groups: dict[Lens, list[View]] = {}  # views that share a map of pixels
-    for view in distorted:
-        assert view.lens is not None
-        groups.setdefault(view.lens, []).append(view)
     kept: dict[View, View] = {}
     largest = max(lens.width * lens.height for lens in groups)
     with ThreadPoolExecutor(max(1, min(threads, HOST_BYTES // (PIXEL_BYTES * largest)))) as pool:
