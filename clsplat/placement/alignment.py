@@ -145,18 +145,16 @@ class _Problem:
         turned = self.places @ rotation.T
         place, position = (values[:, 0] + 1j * values[:, 1]
                            for values in (turned, self.positions))
-        best, least = None, np.inf
-        for first, second in _samples(rng, len(place), 2):
-            if place[first] == place[second]:
-                continue
-            factor = (position[second] - position[first]) / (place[second] - place[first])
-            shift = position[first] - factor * place[first]
-            error = _typical(np.abs(factor * place + shift - position) / self.horizontal_std)
-            if error < least and abs(factor) > 0:
-                best, least = (factor, shift), error
-        if best is None:
+        first, second = _samples(rng, len(place), 2).T
+        with np.errstate(all="ignore"):
+            factors = (position[second] - position[first]) / (place[second] - place[first])
+            shifts = position[first] - factors * place[first]
+            away = factors[:, None] * place + shifts[:, None] - position
+            errors = np.quantile(np.abs(away) / self.horizontal_std, MOST_RIGHT, axis=1)
+        errors[~np.isfinite(errors) | (factors == 0)] = np.inf
+        if not (errors < np.inf).any():
             return None
-        factor, shift = best
+        factor, shift = (values[errors.argmin()] for values in (factors, shifts))
         turn = Rotation.from_euler("z", np.angle(factor)).as_matrix()
         scale = abs(factor)
         heights = (self.positions[:, 2] - scale * turned[:, 2])[self.has_height]

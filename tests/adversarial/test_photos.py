@@ -177,7 +177,7 @@ FLOATS = PICTURE.astype(np.float32) / 255
 
 # name -> (file name, writes it, words of the line)
 REFUSED = {
-    "nothing": ("a.jpg", lambda p: None, ("No such file",)),
+    "nothing": ("a.jpg", lambda p: None, ("no such file",)),
     "text": ("a.jpg", lambda p: p.write_text("hello"), ("not an image", "convert it")),
     "a folder": ("a.png", lambda p: p.mkdir(), ("a folder",)),
     "a pipe": ("a.png", os.mkfifo if hasattr(os, "mkfifo") else None, ("a pipe",)),

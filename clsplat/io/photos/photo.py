@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
+from clsplat.io.fields import reading
 from clsplat.io.photos.resample import band_rows
-from clsplat.io.reason import MOST_CHARACTERS, clean
+from clsplat.io.reason import clean
 from clsplat.io.regular import open_regular
 
 # a header that claims more pixels is damaged: no decoder may allocate memory for it
@@ -234,13 +235,9 @@ def _input(source: Source) -> Iterator[tuple[str | Path, Any]]:
         with temporary_file(source) as path:
             yield from _checked_input(path, name, len(source))
         return
-    try:
+    with reading(str(source), "an image that can be read", f"copy it again, or {CONVERT}"):
         with open_regular(source) as file:
             size = file.seek(0, 2)
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{str(source)[:MOST_CHARACTERS]}: the image cannot be read ({why}); "
-                         "check the path") from None
     if str(source).encode(errors="replace").decode() != str(source):  # OpenImageIO takes no other
         raise InputError(f"{source}: the path of the image is not UTF-8; rename it")
     yield from _checked_input(str(source), source, size)
