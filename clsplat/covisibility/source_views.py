@@ -48,9 +48,12 @@ def visibility(scene: Scene, views: Sequence[View]
 
     Where the scene has no observations, a view sees those of at most 10000 evenly chosen points
     that project into its image, without an occlusion test."""
-    if scene.observations is None:
-        return projected_points(scene.points, views)
-    return scene.points, *_observed(scene.observations, scene.views, views)
+    if scene.observations is not None:
+        return scene.points, *_observed(scene.observations, scene.views, views)
+    points = scene.points[::max(1, -(-len(scene.points) // MOST_PROJECTED))]
+    inside = [np.flatnonzero(view.sees(points)) for view in views]
+    lengths = [len(point) for point in inside]
+    return points, np.concatenate([[], *inside]).astype(int), np.repeat(range(len(views)), lengths)
 
 
 def _observed(observations: NDArray[np.integer], all_views: Sequence[View], views: Sequence[View]
@@ -78,16 +81,6 @@ def photos_of_a_point(scene: Scene, views: Sequence[View]) -> float:
     times = np.bincount(np.concatenate(observed_points(scene, views)))
     several = times[times >= 2]
     return float(several.mean()) if len(several) else float("nan")
-
-
-def projected_points(points: NDArray[np.float64], views: Sequence[View]
-                     ) -> tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.integer]]:
-    """At most 10000 evenly chosen points [P, 3], and the pairs of a point [M] and an index into
-    `views` [M] whose image contains it, without an occlusion test."""
-    points = points[::max(1, -(-len(points) // MOST_PROJECTED))]
-    inside = [np.flatnonzero(view.sees(points)) for view in views]
-    lengths = [len(point) for point in inside]
-    return points, np.concatenate([[], *inside]).astype(int), np.repeat(range(len(views)), lengths)
 
 
 def _best(number: int, sees: csr_array, seen_by: csr_array, points: NDArray[np.float64],

@@ -19,7 +19,6 @@ from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
-from clsplat.partition.make import make_partition
 from clsplat.rendering.tree import MOST_SIGMA_PIXELS
 from tests.data.tiny_training import CITY
 from tests.schedule.driven_sig import FACTS
@@ -158,16 +157,6 @@ def test_a_tree_is_drawn_as_the_model_it_replaces(copy, tmp_path, capsys, monkey
     assert "--against: has no effect with --tree" in capsys.readouterr().err
 
 
-def test_a_chosen_grid_has_a_block_a_worker(tmp_path):
-    given = {"margin": 0.1, "threshold": 0.1, "least_views": 3, "block_gaussians": 10**9}
-    scene = read_scene(CITY)
-    whole = City(CityFolder(tmp_path), scene, resolve({}, {}), DEVICE_OF_1_GIB)
-    for workers, grid in ((1, 1), (2, 2), (6, 6)):
-        wanted = chosen_partition(given, whole, workers)
-        assert len(make_partition(scene, wanted).regions) == grid
-    assert chosen_partition(given, whole).least_blocks == 1
-
-
 def test_again_changes_nothing(copy, monkeypatch):
     before = model(copy)
     times = {path: path.stat().st_mtime_ns for path in copy.path.glob("blocks/*/run/*")}
@@ -229,22 +218,6 @@ def test_a_block_that_does_not_fit_its_device_is_named(copy, monkeypatch, capsys
     error = capsys.readouterr().err
     assert "block 001 failed on this machine: a small device: no memory for 1 MiB more; " in error
     assert "--block-gaussians" in error and "1 of 2 blocks cannot be merged" in error
-
-
-@pytest.mark.nightly
-def test_a_model_that_cannot_be_written_loses_nothing(copy, capsys):
-    """While a block is trained and while the blocks are merged: the same command goes on."""
-    before = model(copy)
-    (copy.block(1).run / "point_cloud.ply").unlink()
-    for folder, words in ((copy.block(1).run, "block 001 failed"), (copy.path, "")):
-        blocking = folder / "point_cloud.ply.part"
-        blocking.mkdir()
-        city(copy.path, code=2)
-        error = capsys.readouterr().err
-        assert words in error and "cannot be written" in error
-        blocking.rmdir()
-    city(copy.path)
-    assert model(copy) == before
 
 
 @pytest.mark.slow

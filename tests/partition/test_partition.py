@@ -96,7 +96,7 @@ def test_a_starved_block_is_joined_to_a_neighbour(method):
 
 @pytest.mark.parametrize("changes, cause", [
     ({"method": "quadtree"}, "--method quadtree: expects one of citygs"),
-    ({"grid": (0, 2)}, "--grid 0x2"),])
+    ({"grid": (0, 2)}, "--grid 0x2")])
 def test_bad_input_is_one_line(changes, cause):
     with pytest.raises(InputError, match=f"^{cause}") as error:
         make_partition(field(), PartitionOptions(**{"grid": (2, 2), **changes}))
