@@ -59,10 +59,8 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
         keep = alive(gaussians)
         degree = min(used_sh_degree(gaussians), sh_degree) if has_harmonics else 0
         if not keep.any():
-            what = (f"all {len(keep):,} gaussians are too faint to be seen" if len(keep)
-                    else "is empty")
-            raise InputError(f"{source}: {what}, so nothing is left to write; train longer, or see "
-                             "the report of the run")
+            raise InputError(f"{source}: none of its {len(keep):,} gaussians can be seen, so "
+                             "nothing is left to write; train longer, or see the run's report")
         photos = photos_of(opened, scene) if is_page else []
         if is_page and not photos:
             progress.message(f"{run}: its scene is not there, so gaussians that fewer than two "

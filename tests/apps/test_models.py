@@ -16,7 +16,6 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.rendering.pipeline import Renderer
 from tests.data.tiny_training import CITY
 from tests.estimate.test_plan import city, clsplat_
-from tests.io.models.test_formats import parts
 
 __all__ = ["city"]
 
@@ -128,12 +127,3 @@ def test_upright(run, tmp_path):
     assert b"comment up 0 -1 0\n" in head and b"map_offset" not in head
     result = clsplat_("export", run.path, "-o", tmp_path / "tiles", "--upright")
     assert result.exit_code == 2 and "3D Tiles are upright" in result.stderr
-
-
-def test_gltf_knows_where_it_lies(run, tmp_path):
-    assert clsplat_("export", run.path, "-o", tmp_path / "a.glb").exit_code == 0
-    document, _ = parts(tmp_path / "a.glb")
-    assert document["asset"]["extras"]["comments"][0] == "SplatRenderMode: default"
-    assert any(line.startswith("map_offset 1000.0 2000.0 3000.0")
-               for line in document["asset"]["extras"]["comments"])
-    assert isinstance(read_model(tmp_path / "a.glb"), Gaussians)

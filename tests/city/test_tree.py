@@ -7,7 +7,6 @@ from clsplat.camera import Camera
 from clsplat.edit.select import mean_sigma, parted
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.atomic import PARTIAL
 from clsplat.io.models.tree import HEADER, NO_PARENT, ORDER, Tree, writing_tree
 from clsplat.rendering.tree import NodeParts, choose
 from tests.data.made_tree import write_tree
@@ -127,23 +126,6 @@ def test_rows_at_one_place_are_parted():
     parts = parted(np.zeros((9, 3)), np.arange(9), 2, 2)
     assert sorted(map(len, parts)) == [2, 2, 2, 3] and sorted(np.concatenate(parts)) == list(
         range(9))
-
-
-def test_a_tree_is_whole_or_as_it_was(model, tmp_path):
-    path = tmp_path / "model.tree"
-    write_tree(path, iter([model]), 1, np.zeros(3))
-    before = path.read_bytes()
-
-    def breaks():
-        yield model
-        raise RuntimeError("killed")
-
-    with pytest.raises(RuntimeError, match="killed"):
-        write_tree(path, breaks(), 1, np.zeros(3))
-    assert path.read_bytes() == before
-    (tmp_path / ("model.tree" + PARTIAL)).write_bytes(b"left by a process that was killed")
-    write_tree(path, iter([model]), 1, np.zeros(3))
-    assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
 
 
 def test_damaged_trees_are_refused(tree, tmp_path):

@@ -9,7 +9,6 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.edit.select import selected
-from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.models.formats import read_model, write_model
@@ -105,14 +104,6 @@ def test_cleaning_and_fewer(tmp_path, model):
     assert "are less opaque than 0.3" in output and "are larger than 0.2" in output
     assert edited(tmp_path, "--decimate", 0.25)[0].count == 20
     assert edited(tmp_path, "--decimate", 30)[0].count == 30
-
-
-def test_harmonics_that_are_zero_are_not_written(tmp_path, model):
-    rest = np.zeros((model.count, 15, 3), np.float32)
-    rest[:, :3] = 0.1
-    write_model(tmp_path / "model.ply", Gaussians({**model.rows, "sh_rest": rest}, 3, model.offset))
-    found, output = edited(tmp_path)
-    assert found.sh_degree == 1 and "spherical harmonics to degree 1" in output
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".glb", ".spz", ".sog"])

@@ -54,15 +54,6 @@ def test_members_without_a_limit_of_memory(tmp_path, method):
             "another method than deflate")
 
 
-def test_a_texture_that_is_named_many_times(tmp_path):
-    members = sog_members(tmp_path)
-    meta = json.loads(members["meta.json"])
-    members["means_l.webp"] = encode_webp(np.zeros((2048, 2048, 4), np.uint8))
-    meta["means"]["files"] = 100 * ["means_l.webp"]
-    members["meta.json"] = json.dumps(meta).encode()
-    refused(read_model, lying(tmp_path / "a.sog", members, {}), "means has not 2 textures")
-
-
 def test_millions_of_gaussians_in_a_few_bytes(tmp_path):
     members = sog_members(tmp_path)
     meta = json.loads(members["meta.json"]) | {"count": 1 << 21}
