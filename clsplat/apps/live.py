@@ -71,7 +71,7 @@ def show_run(run: Run, device: Device, opened: Callable[[str], object], port: in
                 request.attempt(partial(request.drawn, renderer, rows, model.sh_degree))
 
 
-class TrainingView(SilentProgress):
+class TrainingView(ViewServer, SilentProgress):
     """Shows a training on a page; the Watcher and the progress of that training.
 
     It changes nothing: frames are drawn between steps, from a copy of the gaussians, and a frame
@@ -82,29 +82,16 @@ class TrainingView(SilentProgress):
     scene : as it was read.
     progress : to which all that is reported is passed on.
     port : as for ViewServer.
-
-    Attributes
-    ----------
-    address : of the page, which there is as long as the block of this context manager lasts.
     """
 
     def __init__(self, scene: Scene, progress: SilentProgress | None = None, port: int = 0) -> None:
         self._unit = scene.unit
         self._inner = progress or SilentProgress()
-        self._requests = FrameRequests()
         self._drawn_until = self._seconds = 0.0
         self._status: dict[str, Any] = {"phase": "beginning", "message": "", "losses": []}
         page = live_page(scene.name, view_record(
             scene.first_view, scene.up, scene.points, [view.camera for view in scene.views]))
-        self._server = ViewServer(page, self._requests, lambda: self._status, port)
-        self.address = self._server.address
-
-    def __enter__(self) -> TrainingView:
-        self._server.__enter__()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._server.__exit__(*error)
+        super().__init__(page, FrameRequests(), lambda: self._status, port)
 
     # --- as a progress line
 
@@ -128,13 +115,13 @@ class TrainingView(SilentProgress):
 
     def is_due(self) -> bool:
         """Whether a frame is wanted, and drawing has not taken its share of the time."""
-        if self._requests.empty():
+        if self.requests.empty():
             return False
         return time.perf_counter() - self._drawn_until >= self._seconds * (1 / SHARE - 1)
 
     def draw(self, session: Session) -> None:
         """Draw the frame that is wanted. Whatever goes wrong in drawing is no fault of training."""
-        request = self._requests.next()
+        request = self.requests.next()
         if request is None:
             return
         begin = time.perf_counter()

@@ -5,26 +5,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+import warnings
 from pathlib import Path
 from shutil import rmtree
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import contourpy
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from clsplat.apps.geotiff import Raster, bounded_memory
 from clsplat.apps.map_grid import TILE, MapGrid, ground_resolution
 from clsplat.apps.orthophoto import Extent, MapPainter, extent_of, halved_pixels
-from clsplat.apps.surface import (
-    MARGIN,
-    ContourLine,
-    contour_interval,
-    contour_lines,
-    filled,
-    pits,
-)
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
@@ -35,6 +29,7 @@ from clsplat.io.georeference.crs import WGS84, heights_of, on_ground
 from clsplat.io.records import write_object
 from clsplat.report.figures.map_preview import write_preview
 from clsplat.scene import Scene
+from clsplat.training.progress import SilentProgress
 
 ORTHOPHOTO, SURFACE = "orthophoto.tif", "surface.tif"
 CONTOURS, PREVIEW, RECORD = "contours.geojson", "preview.png", "map.json"
@@ -49,13 +44,23 @@ HEIGHTS_OF = "height", "spread"
 SCRATCH = ".drawing-"  # how the name of the temporary folder begins
 MOST_HALVINGS = 9  # a tile is then one pixel
 
-Count = Callable[[str, int, int], object]  # (what, done, total)
-Phase = Callable[[str], object]
+WINDOW, STEP = 13, 8  # samples of the local median along a side, and pixels between them
+MARGIN = (WINDOW // 2 + 1) * STEP  # pixels around a tile that its windows need
+LEAST_DEPTH = 10  # pixels: shallower pits are noise, which surfaces have everywhere
+THICK = 0.5  # of a pit's depth: over less of it, and of LEAST_DEPTH, a true bottom's light spreads
+LEAST_SURE = 0.1  # of the samples of a window: with fewer, no unsure height is kept
+LINES, MOST_LINES = 15, 1000  # contour lines, about, unless the interval is given; and at most
+USUAL = (0.02, 0.98)  # quantiles of the heights
+SMOOTHING = 4.0  # pixels: noise of single pixels is no contour line
+SHORTEST = 48  # points of a line; shorter ones are noise
+
+Heights = NDArray[np.floating]  # [H, W], nan: unknown
+ContourLine = tuple[float, NDArray[np.float64]]  # its height, and (column, row) [N, 2] along it
 
 
 def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Path, *,
-              interval: float | None = None, fill: int = 0, follow: bool = False,
-              count: Count = lambda *_: None, phase: Phase = lambda _: None) -> dict[str, Any]:
+              interval: float | None = None, follow: bool = False,
+              progress: SilentProgress | None = None) -> dict[str, Any]:
     """Write the map of a run into a folder; the files of an earlier map are replaced or removed.
 
     Parameters
@@ -65,37 +70,37 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
     device : an open device.
     folder : created if it is missing.
     interval : between contour lines, map units; None: a round number that suits; 0: none.
-    fill : holes of at most so many pixels across are filled, at most MARGIN.
     follow : whether the bounds become those of all that the map can show.
-    count, phase : called with what is done, how much of it, and how much there is; and with what
-        begins.
+    progress : is given what is done.
 
     Returns
     -------
     What RECORD holds.
     """
+    progress = progress or SilentProgress()
     crs = scene.georeference.crs if scene.georeference else None
     make_folder(folder)
     for killed in folder.glob(SCRATCH + "*"):
         rmtree(killed, ignore_errors=True)
     with bounded_memory(), TemporaryDirectory(dir=folder, prefix=SCRATCH) as scratch:
-        phase("looking at the extent")
+        progress.phase("looking at the extent")
         extent = extent_of(device, run, scene, grid)
         if follow:
             grid = extent.around(grid)
         unit = "metre" if crs else "scene unit"
         statement = stated(scene)
-        drawn, result = (
-            (Raster(Path(scratch) / f"{stage}-colours", grid, crs, COLOURS, True),
-             Raster(Path(scratch) / f"{stage}-surface", grid, crs, dict.fromkeys(HEIGHTS_OF, unit),
-                    False)) for stage in ("drawn", "cleaned"))
-        colours, surface = result
-        _draw(run, scene, grid, extent, device, drawn, count)
-        phase("leaving out pits")
-        dropped, new = _cleaned(drawn, result, fill)
-        phase("making overviews")
-        for raster in result:
-            raster.finish(tags_of(statement))
+        units = dict.fromkeys(HEIGHTS_OF, unit)
+        colours = Raster(Path(scratch) / "colours", grid, crs, COLOURS, True)
+        drawn, surface = (Raster(Path(scratch) / name, grid, crs, units, False)
+                          for name in ("drawn", "surface"))
+        _draw(run, scene, grid, extent, device, (colours, drawn), progress)
+        progress.phase("leaving out pits")
+        dropped = _copy_without_pits(colours, drawn, surface)
+        progress.phase("making overviews")
+        for raster in (colours, surface):
+            raster.finish({"TIFFTAG_SOFTWARE": "clsplat", **{
+                name.upper(): value if isinstance(value, str) else json.dumps(value)
+                for name, value in statement.items()}})
         level = surface.level(CONTOUR_SIDE)
         heights = surface.whole(level)[..., 0]
         if not np.isfinite(heights).any():
@@ -105,10 +110,10 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         if interval is None:
             interval = contour_interval(heights)
         if interval:
-            phase("drawing contour lines")
+            progress.phase("drawing contour lines")
         lines = contour_lines(heights, interval)  # first of all: there may be too many of them
         files = [ORTHOPHOTO, SURFACE, PREVIEW]
-        phase("writing GeoTIFF files")
+        progress.phase("writing GeoTIFF files")
         colours.save(folder / ORTHOPHOTO)
         surface.save(folder / SURFACE)
         _write_preview(folder / PREVIEW, colours, surface, lines, level, interval, unit)
@@ -121,7 +126,7 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         "columns": grid.columns, "rows": grid.rows, "bounds": grid.bounds,
         "heights": np.quantile(known, HEIGHTS).tolist(),
         "covered": float(len(known) / heights.size), "contour_interval": interval,
-        "pits": dropped, "filled": new, **statement,
+        "pits": dropped, **statement,
         "bands": {ORTHOPHOTO: list(COLOURS), SURFACE: list(HEIGHTS_OF)},
         "axes": grid.axes.tolist(), "origin": grid.origin.tolist(), "files": files}
     for name in set(FILES) - {*files, RECORD}:
@@ -131,7 +136,7 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
 
 
 def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
-          drawn: tuple[Raster, Raster], count: Count) -> None:
+          drawn: tuple[Raster, Raster], progress: SilentProgress) -> None:
     """Draw all tiles in which anything is known."""
     # gaussians smaller than a pixel would be drawn as large as one, and hide what is beside
     # them: a map coarser than the photos is the mean of finer pixels
@@ -154,7 +159,7 @@ def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
             if not inside.any():
                 continue
             is_known = True
-            count("tile", done, total)
+            progress.count("tile", done, total)
             colours, surface = painter.tile(*place)
             for all_pixels, pixels in zip(whole, (np.where(inside, colours, 0), np.where(
                     inside, surface, np.float32(np.nan)))):
@@ -168,32 +173,93 @@ def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
         raster.close()
 
 
-def _cleaned(drawn: tuple[Raster, Raster], result: tuple[Raster, Raster], fill: int
-             ) -> tuple[int, int]:
-    """Copy colours, and heights without pits, with small holes filled; how many heights are left
-    out, and how many are filled."""
-    dropped = filled_count = 0
+def _copy_without_pits(colours: Raster, drawn: Raster, surface: Raster) -> int:
+    """Copy the surface that was drawn; how many heights are left out."""
+    dropped = 0
     own = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
-    for y, x in np.ndindex(drawn[0].grid.tiles[::-1]):
-        colours = drawn[0].read((x, y), MARGIN)
-        alpha = colours[..., 3] > 0
-        if not alpha.any():
-            continue
-        heights = drawn[1].read((x, y), 2 * MARGIN)
-        found = pits(heights[..., 0], heights[..., 1], drawn[1].grid.resolution)
-        heights = heights[own]
-        known = np.isfinite(heights[..., 0]) & ~found
-        dropped += int((alpha & ~known)[own].sum())
-        if fill:
-            smooth, alpha = filled(colours.astype(np.float32), alpha, fill)
-            colours = np.round(smooth)
-            colours[..., 3][(colours[..., 3] == 0) & alpha] = 255
-            heights, more = filled(heights, known, fill)
-            filled_count += int((more & ~known)[own].sum())
-            known = more
-        result[0].write((x, y), colours[own])
-        result[1].write((x, y), np.where(known[..., None], heights, np.nan)[own])
-    return dropped, filled_count
+    for y, x in np.ndindex(drawn.grid.tiles[::-1]):
+        covered = colours.read((x, y))[..., 3] > 0
+        heights = drawn.read((x, y), MARGIN)
+        known = np.isfinite(heights[own][..., 0]) & ~pits(
+            heights[..., 0], heights[..., 1], drawn.grid.resolution)
+        dropped += int((covered & ~known).sum())
+        if known.any():
+            surface.write((x, y), np.where(known[..., None], heights[own], np.nan))
+    return dropped
+
+
+def pits(heights: Heights, spread: Heights, resolution: float) -> NDArray[np.bool_]:
+    """Which pixels of a tile are pits, or unsure where hardly any height around is sure,
+    bool[H, W].
+
+    Where the ground is thin, half of the light passes it and ends at stray gaussians far below: the
+    median depth has a pit there. It differs from a true hole or a street between houses in where
+    the first tenth of the light is held back: on the ground, not at the bottom.
+
+    Parameters
+    ----------
+    heights : [H + 2 MARGIN, W + 2 MARGIN], map units; nan: unknown.
+    spread : as heights: how far above them the first tenth of the light is held back.
+    resolution : map units a pixel.
+    """
+    least = LEAST_DEPTH * resolution
+    sure = np.where(spread <= least, heights, np.nan)[STEP // 2::STEP, STEP // 2::STEP]
+    windows = np.lib.stride_tricks.sliding_window_view(sure, (WINDOW, WINDOW))[1:-1, 1:-1]
+    with warnings.catch_warnings():  # of windows in which nothing is sure
+        warnings.simplefilter("ignore", RuntimeWarning)
+        level = np.nanmedian(windows, axis=(-2, -1))
+    level[np.isfinite(windows).mean(axis=(-2, -1)) < LEAST_SURE] = np.inf
+    inner = np.s_[MARGIN:heights.shape[0] - MARGIN, MARGIN:heights.shape[1] - MARGIN]
+    depth = np.kron(level, np.ones((STEP, STEP))) - heights[inner]
+    found: NDArray[np.bool_] = (depth > least) & (spread[inner] > np.minimum(THICK * depth, least))
+    return found
+
+
+def _smoothed(heights: Heights) -> NDArray[np.float64]:
+    """Heights [H, W] after a Gaussian filter that leaves out those that are nan."""
+    known = ~np.isnan(heights)
+    weight = gaussian_filter(known.astype(np.float64), SMOOTHING)
+    total = gaussian_filter(np.where(known, heights, 0.0), SMOOTHING)
+    result: NDArray[np.float64] = np.where(known, total / np.maximum(weight, 1e-9), np.nan)
+    return result
+
+
+def contour_interval(heights: Heights) -> float:
+    """A round number (1, 2 or 5 times a power of ten) that gives about LINES contour lines, in the
+    unit of the heights; 0 for a surface without heights."""
+    known = heights[~np.isnan(heights)]
+    low, high = np.quantile(known, USUAL) if len(known) else (0.0, 0.0)
+    if not high > low:
+        return 0.0
+    wanted = (high - low) / LINES
+    power = 10 ** math.floor(math.log10(wanted))
+    nearest = min((1, 2, 5, 10), key=lambda factor: abs(math.log(factor * power / wanted)))
+    return float(f"{nearest * power:.1g}")
+
+
+def contour_lines(heights: Heights, interval: float) -> list[ContourLine]:
+    """Contour lines of a surface; the centre of the first pixel is (0.5, 0.5).
+
+    Parameters
+    ----------
+    heights : [H, W]; nan: unknown, where lines end.
+    interval : between lines; heights that are multiples of it have one. 0: there are no lines. An
+        InputError if there would be too many.
+    """
+    known = ~np.isnan(heights)
+    if interval <= 0 or not known.any() or min(heights.shape) < 2:
+        return []
+    low, high = np.quantile(heights[known], (0.001, 0.999))
+    with np.errstate(over="ignore"):  # of an interval that is almost 0
+        count = (high - low) / np.float64(interval)
+    if count > MOST_LINES:
+        raise InputError(f"--contours {interval:g}: about {count:.3g} lines; give a larger "
+                         f"interval, at most {MOST_LINES:,} are drawn")
+    generator = contourpy.contour_generator(
+        z=np.ma.masked_array(_smoothed(heights), mask=~known))
+    return [(number * interval, np.asarray(line) + 0.5)
+            for number in range(math.ceil(low / interval), math.floor(high / interval) + 1)
+            for line in generator.lines(number * interval) if len(line) >= SHORTEST]
 
 
 def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: int,
@@ -237,13 +303,6 @@ def stated(scene: Scene) -> dict[str, Any]:
             "georeference": {"source": place.source, "residual": place.residual,
                              "residuals_rms": {role: axes for role, axes in errors.items() if axes},
                              "warnings": list(place.warnings)}}
-
-
-def tags_of(statement: dict[str, Any]) -> dict[str, str]:
-    """The tags of a GeoTIFF, in GDAL's metadata."""
-    return {"TIFFTAG_SOFTWARE": "clsplat",
-            **{name.upper(): value if isinstance(value, str) else json.dumps(value)
-               for name, value in statement.items()}}
 
 
 def sentences(statement: dict[str, Any], unit: str) -> list[str]:

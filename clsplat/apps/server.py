@@ -20,8 +20,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from queue import Empty, SimpleQueue
-from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +28,9 @@ from clsplat.camera import Camera, numbers
 from clsplat.errors import InputError
 from clsplat.io.photos.images import encode_image
 from clsplat.io.records import plain
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 LOOPBACK = "127.0.0.1"
 PORT = 8642  # if it is free
@@ -129,13 +131,12 @@ class ViewServer:
         self.address = f"http://{LOOPBACK}:{self.port}/{self.token}/"
         self.hosts = {f"{name}:{self.port}" for name in (LOOPBACK, "localhost")}
 
-    def __enter__(self) -> ViewServer:
+    def __enter__(self) -> Self:
         threading.Thread(target=self._server.serve_forever, name="clsplat view", daemon=True,
                          kwargs={"poll_interval": 0.1}).start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self._server.shutdown()
         self._server.server_close()
         while request := self.requests.next():

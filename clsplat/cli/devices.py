@@ -38,13 +38,11 @@ def table(listed: Sequence[ListedDevice]) -> str:
     rows = [("", "#", "type", "device", "platform", "verdict")]
     rows += [("*" if entry.chosen else "", str(entry.index), entry.type, entry.name,
               entry.platform, "works" if entry.works else "does not work") for entry in listed]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    aligned = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()
-               for row in rows]
-    lines = aligned[:1]
-    for entry, line in zip(listed, aligned[1:]):
-        lines += [line, *(f"      {note}" for note in _notes(entry))]
-    return "\n".join([*lines, "* is the device of --device auto"])
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    first, *aligned = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+    lines = [[line, *(f"      {note}" for note in _notes(entry))]
+             for entry, line in zip(listed, aligned)]
+    return "\n".join([first, *sum(lines, []), "* is the device of --device auto"])
 
 
 def _notes(entry: ListedDevice) -> list[str]:

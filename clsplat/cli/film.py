@@ -47,63 +47,47 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
          scene: Path | None, device: str) -> None:
     """Draw a flight through RUN as a film."""
     from dataclasses import replace
+    from functools import partial
 
     import numpy as np
 
-    from clsplat.apps.camera_path import (
-        auto,
-        film_degrees,
-        flight,
-        interpolated,
-        read_camera_path,
-        turntable,
-    )
-    from clsplat.apps.film import (
-        SUFFIXES,
-        check_codec,
-        frames,
-        frames_in,
-        write_film,
-        write_frames,
-    )
+    from clsplat.apps import camera_path as paths
+    from clsplat.apps import film as films
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
-    as_film = output.suffix.lower() in SUFFIXES
+    as_film = output.suffix.lower() in films.SUFFIXES
     if not as_film and output.suffix:
         raise InputError(f"{output}: unknown suffix '{output.suffix}'; known: "
-                         f"{', '.join(SUFFIXES)}, or a folder for PNG files")
+                         f"{', '.join(films.SUFFIXES)}, or a folder for PNG files")
     if as_film and (size[0] % 2 or size[1] % 2):
         raise InputError(f"--size {size[0]}x{size[1]}: a film needs even numbers; give such, or a "
                          "folder for PNG files")
-    if as_film or frames_in(output):
+    if as_film or films.frames_in(output):
         check_free(output, overwrite)
     if as_film:
-        check_codec()
+        films.check_codec()
     opened = Run.open(run)
     data = opened.scene(scene).with_up(opened.up)
     count = max(1, round(seconds * fps))
     times = np.linspace(0, 1, count)
     if route in (AUTO, PHOTOS):
-        keys = (auto if route == AUTO else flight)(data, seconds)
+        keys = (paths.auto if route == AUTO else paths.flight)(data, seconds)
     elif route == TURNTABLE:  # the last frame is not the first once more
-        keys, times = turntable(data), np.arange(count) / count
+        keys, times = paths.turntable(data), np.arange(count) / count
     else:
-        keys = read_camera_path(Path(route))
+        keys = paths.read_camera_path(Path(route))
     if fov is not None:
         keys = replace(keys, degrees=None)
-    cameras = interpolated(keys, times, size, film_degrees(data) if fov is None else fov)
+    cameras = paths.interpolated(keys, times, size, fov or paths.film_degrees(data))
     with Progress() as progress:
         progress.phase("opening the device")
-        pictures = frames(opened, data, cameras, choose_device(device),
-                          host_memory, everything)
-
-        def shown(number: int) -> None:
-            progress.count("frame", number, count)
-
+        pictures = films.frames(opened, data, cameras, choose_device(device), host_memory,
+                                everything)
+        shown = partial(progress.count, "frame", total=count)
         if as_film:
-            write_film(output, pictures, size, Fraction(fps).limit_denominator(1001), shown)
+            films.write_film(output, pictures, size, Fraction(fps).limit_denominator(1001), shown)
         else:
-            write_frames(output, pictures, shown)
+            films.write_frames(output, pictures, shown)
     frame = "frame" if count == 1 else "frames"
     click.echo(f"{output}: {count} {frame} of {size[0]} x {size[1]} pixels, {count / fps:.1f} s")

@@ -10,7 +10,6 @@ import click
 from clsplat.cli.flags import FiniteRange, check_free, device_flag, moved_scene_flag
 from clsplat.errors import InputError
 
-MOST_FILLED = 50  # pixels, the widest hole that is filled
 MOST_UNSURE = 0.1  # of the heights, without a warning
 
 
@@ -25,14 +24,12 @@ MOST_UNSURE = 0.1  # of the heights, without a warning
               help="Extent in the coordinates of the map; default: all that is covered.")
 @click.option("--contours", type=FiniteRange(0), help="Height between contour lines, in the same "
               "unit; 0: none. Default: about 15 lines.")
-@click.option("--fill", type=click.IntRange(0, MOST_FILLED), default=0, show_default=True,
-              help="Fill holes of at most so many pixels across.")
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier map.")
 @moved_scene_flag
 @device_flag
 def map_command(run: Path, output: Path, resolution: float | None,
                 bounds: tuple[float, float, float, float] | None,
-                contours: float | None, fill: int, overwrite: bool,
+                contours: float | None, overwrite: bool,
                 scene: Path | None, device: str) -> None:
     """Draw RUN from straight above, as a map.
 
@@ -60,15 +57,13 @@ def map_command(run: Path, output: Path, resolution: float | None,
     with Progress() as progress:
         progress.phase("opening the device")
         chosen = choose_device(device)
-        record = write_map(opened, data, grid, chosen, output, interval=contours, fill=fill,
-                           follow=bounds is None,
-                           count=progress.count, phase=progress.phase)
+        record = write_map(opened, data, grid, chosen, output, interval=contours,
+                           follow=bounds is None, progress=progress)
     unit = "m" if place is not None else "scene units"
     low, high = record["heights"]
-    changed = f", {record['filled']:,} filled" if fill else ""
     click.echo(f"{output}: {record['columns']:,} x {record['rows']:,} pixels of "
                f"{record['resolution']:g} {unit}, {record['covered']:.0%} covered, "
-               f"{record['pits']:,} unsure heights left out{changed}, 98% of the heights "
+               f"{record['pits']:,} unsure heights left out, 98% of the heights "
                f"{low:.2f} to {high:.2f} {unit}, {record['crs'] or 'no georeference'}")
     for line in sentences(record, unit):
         click.echo(f"{output}: {line}")

@@ -82,13 +82,13 @@ class Eager(TrainingView):
 
     def __init__(self, scene):
         super().__init__(scene)
-        self.requests, self._cameras = [], [view.camera.resized(*FRAME) for view in scene.views]
+        self.asked, self._cameras = [], [view.camera.resized(*FRAME) for view in scene.views]
 
     def is_due(self):
-        number = len(self.requests)
+        number = len(self.asked)
         request = FrameRequest(self._cameras[number % len(self._cameras)], number % 5 == 4)
-        self.requests.append(request)
-        self._requests.put(request)
+        self.asked.append(request)
+        self.requests.put(request)
         return True
 
 
@@ -102,11 +102,11 @@ def test_watching_changes_no_byte(item_device, city, tmp_path, changes):
     with Eager(city) as view:
         train(city, options_of(**changes), item_device, run, view, watcher=view)
     options = options_of(**changes)
-    assert len(view.requests) == options.iterations and not any(
-        request.answer.exception(0) for request in view.requests)
+    assert len(view.asked) == options.iterations and not any(
+        request.answer.exception(0) for request in view.asked)
     assert model_digest(run) == model_digest(plain)
     assert view._status["total"] == options.iterations and len(view._status["losses"]) > 1
-    last = view.requests[-2]  # the last steps change little
+    last = view.asked[-2]  # the last steps change little
     model = Run.open(run.path).model
     shown = render_view(*open_model(item_device, model, city.near_plane), model.sh_degree,
                         last.camera.shifted(model.offset - last.camera.offset))

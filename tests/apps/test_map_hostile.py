@@ -57,7 +57,7 @@ def test_refused_in_one_line(mapped, words, message):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [
-    ["--fill", "50"], ["--contours", "0"], ["--bounds", *NEAR],
+    ["--contours", "0"], ["--bounds", *NEAR],
     ["--resolution", "20"]], ids=" ".join)
 def test_drawn(mapped, words):
     size = [] if "--resolution" in words else ["--resolution", "0.5"]

@@ -12,9 +12,8 @@ import tifffile
 
 from clsplat.apps import map as map_module
 from clsplat.apps.geotiff import Raster
-from clsplat.apps.map import write_map
+from clsplat.apps.map import contour_lines, write_map
 from clsplat.apps.map_grid import TILE, MapGrid, map_grid
-from clsplat.apps.surface import contour_lines
 from clsplat.gaussians import Gaussians
 from clsplat.io.georeference.crs import scene_crs
 from clsplat.options import TrainOptions
@@ -107,26 +106,6 @@ def test_a_pit_is_left_out_and_a_true_hole_stays(item_device, tmp_path):
     assert np.isnan(heights[at(7, -7)]).all() and record["pits"] > 400
     assert (colours[at(7, -7)][..., 3] == 255).all(), "its colour stays"
     assert abs(heights[at(0, 0)] - 9).max() < 0.01 and abs(heights[at(0, -8)] - 7).max() < 0.01
-
-
-@pytest.mark.slow
-def test_small_holes_are_filled_on_request(item_device, tmp_path):
-    run, scene = run_of(tmp_path, made.scene(None)), made.scene(None)
-    model, grid = run.finished_model, map_grid(scene, 0.1)
-    x, y, _ = model.positions.T
-    model.opacity_logits[(abs(x - 7) < 0.6) & (abs(y) < 0.6)] = -9
-    model.opacity_logits[(abs(x + 8) < 2.6) & (abs(y) < 2.6)] = -9
-    found = []
-    for fill in (0, 12):
-        record = write_map(run, scene, grid, item_device, tmp_path, fill=fill)
-        found.append((record, *rasters(tmp_path)))
-    (before, _, holes), (after, colours, heights) = found
-    small, large = (np.floor(grid.pixels(made.OFFSET[None] + (x, 0, 0))).astype(int)[0][::-1]
-                    for x in (7, -8))
-    assert np.isnan(holes[tuple(small)]) and before["filled"] == 0 < after["filled"]
-    assert abs(heights[tuple(small)] - 7) < 0.01 and colours[tuple(small)][3] == 255
-    assert colours[tuple(small)][0] > 2 * colours[tuple(small)][1] > 0, "red as the ground is"
-    assert np.isnan(heights[tuple(large)]) and colours[tuple(large)][3] == 0
 
 
 @pytest.mark.slow
