@@ -44,7 +44,7 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
     is_page, is_folder = output.suffix.lower() == ".html", not output.suffix
     if upright and (is_page or is_folder):
         raise InputError("--upright: pages and 3D Tiles are upright; leave it out")
-    has_harmonics = is_page or is_folder or format_of(output).harmonics
+    is_points = not (is_page or is_folder) and format_of(output).is_points
     if everything and not is_page:
         raise InputError("--everything: is for pages, other formats have all; leave it out")
     opened = Run.open(run)
@@ -57,7 +57,7 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
         progress.phase(f"reading {run}")
         gaussians = opened.finished_model  # reads all of it: a damaged model is not passed on
         keep = alive(gaussians)
-        degree = min(used_sh_degree(gaussians), sh_degree) if has_harmonics else 0
+        degree = 0 if is_points else min(used_sh_degree(gaussians), sh_degree)
         if not keep.any():
             raise InputError(f"{source}: none of its {len(keep):,} gaussians can be seen, so "
                              "nothing is left to write; train longer, or see the run's report")

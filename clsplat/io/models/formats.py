@@ -27,14 +27,14 @@ def _read_ply(path: Path, offset: NDArray[np.float64] | None) -> tuple[Gaussians
 
 
 class Format(NamedTuple):
-    """A format of models: what it is, its functions, and what it holds."""
+    """A format of models: what it is and its functions; points have map coordinates in files of a
+    georeferenced scene, and no harmonics."""
 
     what: str
-    # called with a path, an offset, and if it has map coordinates with the CRS of the scene
+    # called with a path, an offset, and for points with the CRS of the scene
     read: Callable[..., tuple[Gaussians, Notes]]
     write: Callable[[Path, Gaussians, Notes], None]
-    harmonics: bool = True  # above the constant
-    map_coordinates: bool = False  # in files of a georeferenced scene
+    is_points: bool = False
 
 
 FORMATS = {
@@ -44,9 +44,8 @@ FORMATS = {
     ".sog": Format("the format of PlayCanvas, the smallest", read_sog, write_sog),
     ".spz": Format("the format of Niantic, small", read_spz, write_spz),
     ".glb": Format("glTF with KHR_gaussian_splatting", read_glb, write_glb),
-    ".laz": Format("points for maps, compressed", read_las, write_las, harmonics=False,
-                   map_coordinates=True),
-    ".las": Format("points for maps", read_las, write_las, harmonics=False, map_coordinates=True),
+    ".laz": Format("points for maps, compressed", read_las, write_las, is_points=True),
+    ".las": Format("points for maps", read_las, write_las, is_points=True),
 }
 SUFFIXES = tuple(FORMATS)
 
@@ -78,7 +77,7 @@ def read_with_notes(path: str | Path, offset: ArrayLike | None = None,
     """
     path, kind = Path(path), format_of(path)
     local = None if offset is None else np.asarray(offset, np.float64)
-    if kind.map_coordinates and georeference is not None:
+    if kind.is_points and georeference is not None:
         origin = np.asarray(georeference.offset, np.float64)
         found, notes = kind.read(path, None if local is None else origin + local, georeference.crs)
         return found.located(found.offset - origin), notes

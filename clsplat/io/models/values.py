@@ -140,11 +140,8 @@ def usable(path: str | Path, rows: dict[str, NDArray[Any]], most_left_out: float
     if not bad:
         return rows
     if bad > most_left_out * count:
-        name, values = next((name, values) for name, values in rows.items()
-                            if not np.isfinite(values).all())
-        raise InputError(f"{path}: {bad} of {count} rows hold numbers that are not finite, "
-                         f"{np.count_nonzero(~np.isfinite(values))} of them in {name}; export or "
-                         "copy it again")
+        raise InputError(f"{path}: {bad} of {count} rows hold numbers that are not finite; export "
+                         "or copy it again")
     logging.getLogger(__name__).warning(
         "%s: %d of %d rows hold numbers that are not finite: they are left out", path, bad, count)
     return {name: values[finite] for name, values in rows.items()}
