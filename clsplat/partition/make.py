@@ -142,9 +142,12 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
     else:
         regions, assigned = _blockgs(data, math.prod(grid), options.margin)
     regions, assigned = _join_starved(data, options, regions, assigned)
+    seen = np.bincount(data.observed_views, minlength=len(data.views))
+    dropped = {int(data.views[view]): "it shows too little of every block" if seen[view] else
+               "it sees no point of the sparse model"
+               for view in np.flatnonzero(~assigned.any(axis=0))}
     return Partition(options.method, tuple(regions),
-                     tuple(data.views[np.flatnonzero(row)] for row in assigned),
-                     _dropped(data, regions, assigned))
+                     tuple(data.views[np.flatnonzero(row)] for row in assigned), dropped)
 
 
 def choose_grid(needed: int, aspect: float) -> tuple[int, int]:
@@ -158,20 +161,6 @@ def choose_grid(needed: int, aspect: float) -> tuple[int, int]:
         n, m = shape
         return math.log(n * m / needed) + abs(math.log(aspect * m / n))
     return min(shapes, key=cost)
-
-
-def _dropped(data: _Input, regions: list[Region], assigned: NDArray[np.bool_]
-             ) -> dict[int, str]:
-    """For each view that is assigned to no block, by its index, the reason."""
-    owner = Cells(regions).at(regions[0].space.to(data.points))
-    reasons = {}
-    for view in np.flatnonzero(~assigned.any(axis=0)):
-        seen = data.observed_points[data.observed_views == view]
-        points = np.bincount(owner[seen], minlength=len(regions))
-        reasons[int(data.views[view])] = (
-            f"its {points.sum():,} points lie in {(points > 0).sum()} blocks, at most "
-            f"{points.max():,} in one" if points.any() else "it sees no point of the sparse model")
-    return reasons
 
 
 def _join_starved(data: _Input, options: PartitionOptions, regions: Sequence[Region],

@@ -44,15 +44,14 @@ class Space:
     contracted: bool = False
 
     def __post_init__(self) -> None:
-        for name, shape in (("rotation", (3, 3)), ("origin", (3,)), ("half", (3,))):
-            values = np.array(getattr(self, name), np.float64)
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ValueError(f"{name} is not {'x'.join(map(str, shape))} finite numbers")
-            object.__setattr__(self, name, values)
-        if (np.abs(self.rotation @ self.rotation.T - np.eye(3)) > ROTATION_TOLERANCE).any():
-            raise ValueError("rotation is not an orthonormal 3 x 3 matrix")
-        if not (self.half > 0).all():
-            raise ValueError("half has a side that is not positive")
+        for name in ("rotation", "origin", "half"):
+            object.__setattr__(self, name, np.array(getattr(self, name), np.float64))
+        if ((self.rotation.shape, self.origin.shape, self.half.shape) != ((3, 3), (3,), (3,))
+                or not np.allclose(self.rotation @ self.rotation.T, np.eye(3), 0,
+                                   ROTATION_TOLERANCE)
+                or not (np.isfinite([self.origin, self.half]) & (self.half > 0)).all()):
+            raise ValueError("a space needs an orthonormal rotation, a finite origin and three "
+                             "positive half sides")
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -175,10 +174,10 @@ class Region:
     def __post_init__(self) -> None:
         for name in ("low", "high"):
             object.__setattr__(self, name, np.array(getattr(self, name), np.float64))
-        if not (self.low.shape == self.high.shape == (3,) and (self.low < self.high).all()):
-            raise ValueError("a cell needs three numbers low below three numbers high")
-        if not 0 <= self.margin < np.inf:
-            raise ValueError(f"a margin of {self.margin} must be finite and at least 0")
+        if not (self.low.shape == self.high.shape == (3,) and (self.low < self.high).all()
+                and 0 <= self.margin < np.inf):
+            raise ValueError("a cell needs three numbers low below three numbers high, and a "
+                             "finite margin of at least 0")
 
     @property
     def side(self) -> NDArray[np.float64]:
