@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from clsplat.partition.region import CONTENT_QUANTILES, Partition, Region, world_of
-from clsplat.report.figures import COLOURS, own_settings
+from clsplat.report.figures import own_settings
 from clsplat.scene import Scene
 
 MOST_POINTS = 60_000  # drawn
@@ -97,7 +97,7 @@ def _draw_cameras(figure: Figure, axes: Axes, partition: Partition, scene: Scene
                         linewidths=0.6)
     figure.colorbar(dots, ax=axes, label="blocks with a camera's view", shrink=0.6,
                     ticks=MaxNLocator(8, integer=True, min_n_ticks=1))
-    for kind, marker, colour in (("in no block", "x", COLOURS[1]), ("held out", "+", "#8b9095")):
+    for kind, marker, colour in (("in no block", "x", "#d55e00"), ("held out", "+", "#8b9095")):
         chosen = [index for index in np.flatnonzero(~shown)
                   if (index in partition.dropped) == (kind == "in no block")]
         if chosen:
