@@ -64,19 +64,16 @@ def evaluate(run: Path, device: str, images: bool, lpips: Path | None, align: bo
 def summary(result: dict[str, Any]) -> str:
     """The table of an evaluation, as text."""
     from clsplat.evaluation.held_out_responses import Predicted
-    views = f"{result['views']} held-out view{'s' if result['views'] != 1 else ''}"
-    names = [name for name in ("psnr", "ssim", "flip", "lpips") if name in result]
-    lines = [f"{views:<20}" + "".join(f"{name.upper():>8}" for name in names)]
-    kinds = [("plain", ""), ("colour-corrected", "_cc")]
+    from clsplat.report.page import Table
+    kinds, notes = {"plain": "", "colour-corrected": "_cc"}, []
     if "aligned_degrees" in result:
-        kinds += [("aligned", "_aligned"), ("both", "_cc_aligned")]
-    for label, suffix in kinds:
-        lines.append(f"{label:<20}" + "".join(
-            f"{result[name + suffix]:>8.{2 if name == 'psnr' else 4}f}" for name in names))
-    if "aligned_degrees" in result:
-        lines.append(f"moved by {result['aligned_degrees']:.3f} degrees and "
-                     f"{result['aligned_shift']:.3%} of the depth in the mean")
+        kinds |= {"aligned": "_aligned", "both": "_cc_aligned"}
+        notes = [f"moved by {result['aligned_degrees']:.3f} degrees and "
+                 f"{result['aligned_shift']:.3%} of the depth in the mean"]
     if "exposure_weight" in result:
-        lines.append("exposure of held-out views: "
-                     f"{Predicted(weight=result['exposure_weight'])}")
-    return "\n".join(lines)
+        notes.append(f"exposure of held-out views: {Predicted(weight=result['exposure_weight'])}")
+    names = [name for name in ("psnr", "ssim", "flip", "lpips") if name in result]
+    rows = [(label, *(f"{result[name + suffix]:.{2 if name == 'psnr' else 4}f}" for name in names))
+            for label, suffix in kinds.items()]
+    views = f"{result['views']} held-out view{'s' if result['views'] != 1 else ''}"
+    return Table(views, ("", *map(str.upper, names)), rows, range(1, 1 + len(names)), notes).text()

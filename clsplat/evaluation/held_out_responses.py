@@ -43,13 +43,8 @@ class Predicted:
 
 def predicted_responses(views: Iterable[View], learned: Mapping[str, Response] | None
                         ) -> Predicted | None:
-    """The responses of all views of a scene; None where the training learned none.
-
-    Parameters
-    ----------
-    views : of the scene, training views and others.
-    learned : the responses of training views by name.
-    """
+    """The responses of all views of a scene from those of training views by name; None where the
+    training learned none."""
     ordered = sorted(views, key=lambda view: _in_order(view.name))
     known = [place for place, view in enumerate(ordered) if view.name in (learned or {})]
     if not learned or not known:

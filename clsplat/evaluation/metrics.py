@@ -117,10 +117,6 @@ class Lpips:
         except Exception as error:  # noqa: BLE001  (onnxruntime has a class for each kind)
             raise InputError(f"{self.path}: not a network that onnxruntime can read "
                              f"({reason(error)}); {EXPORT}") from None
-        self._inputs = [given.name for given in self._session.get_inputs()]
-        if len(self._inputs) != 2:
-            raise InputError(f"{self.path}: has {len(self._inputs)} inputs, where LPIPS compares "
-                             f"two images; {EXPORT}")
 
     def __call__(self, image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
         """LPIPS of two images; InputError if the network does not give one number for them.
@@ -132,16 +128,15 @@ class Lpips:
         tensors = [np.ascontiguousarray(
             2 * np.asarray(each, np.float32).transpose(2, 0, 1)[None] - 1)
             for each in (image, photo)]
+        inputs = [given.name for given in self._session.get_inputs()]
         try:
-            results: list[Any] = self._session.run(None, dict(zip(self._inputs, tensors)))
+            result = self._session.run(None, dict(zip(inputs, tensors, strict=True)))[0]
+            return float(np.reshape(result, ()))
         except Exception as error:  # noqa: BLE001
             height, width = tensors[0].shape[2:]
             raise InputError(f"{self.path}: cannot compare images of {width}x{height} pixels "
-                             f"({reason(error)}); export it with dynamic axes for height and "
-                             "width") from None
-        if np.size(results[0]) != 1:
-            raise InputError(f"{self.path}: gives {np.size(results[0])} numbers, not one; {EXPORT}")
-        return float(np.reshape(results[0], ()))
+                             f"({reason(error)}); {EXPORT}, with two images as inputs, dynamic "
+                             "axes for height and width, and one number as output") from None
 
 
 def fit_colour(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> NDArray[np.float64]:

@@ -40,13 +40,8 @@ class ShownView:
 
 @dataclass(frozen=True)
 class Pictures:
-    """The views that a report shows, the worst first.
-
-    Attributes
-    ----------
-    held_out : whether they are held-out views, not training views.
-    count : of the views from which they were chosen.
-    """
+    """The views that a report shows, the worst first; whether they are held-out views, not training
+    views; and from how many they were chosen."""
 
     shown: list[ShownView]
     held_out: bool
@@ -85,19 +80,9 @@ def shown_view(place: str, scores: dict[str, Any], fitted: NDArray[np.floating],
 
 def error_map(render: NDArray[np.floating], photo: NDArray[np.floating],
               valid: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
-    """The absolute difference of each pixel, mean of its channels, in COLOURS up to LARGEST_ERROR.
-
-    A pixel that is not finite has the largest error; one that does not count is grey.
-
-    Parameters
-    ----------
-    render, photo : [H, W, 3], 0 to 1.
-    valid : bool[H, W], the pixels that count; None: all.
-
-    Returns
-    -------
-    [H, W, 3].
-    """
+    """[H, W, 3], the absolute difference of images 0 to 1, mean of the channels, in COLOURS up to
+    LARGEST_ERROR. A pixel that is not finite has the largest error; one that does not count, by
+    `valid` bool[H, W], is grey."""
     error = np.abs(render - photo).mean(axis=2) / LARGEST_ERROR
     place = np.clip(np.nan_to_num(error, nan=1.0), 0, 1) * (len(COLOURS) - 1)
     colours = np.stack([np.interp(place, np.arange(len(COLOURS)), channel)

@@ -70,13 +70,8 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
 
 
 def scene_of_views(run: Run, scene_path: Path | None) -> Scene:
-    """The scene from whose cameras a run is rendered, at full size, with corrected poses.
-
-    Parameters
-    ----------
-    run : the run.
-    scene_path : a scene, which may be another one than that of the run; None: the run's own.
-    """
+    """The scene from whose cameras a run is rendered, at full size, with corrected poses: the run's
+    own, or that of a path, which may be another one."""
     place, images = run.folder.scene_path(scene_path), run.options.images
     scene = read_scene(place, images if scene_path is None or (place / images).is_dir() else "")
     if run.record.get("fingerprint") == fingerprint(scene):
@@ -192,12 +187,7 @@ class Run:
         return scene if whole else self.as_trained(scene)
 
     def as_trained(self, scene: Scene) -> Scene:
-        """The scene of the training at the size of the training, with corrected poses.
-
-        Parameters
-        ----------
-        scene : `scene(whole=True)`.
-        """
+        """`scene(whole=True)` at the size of the training, with corrected poses."""
         options = self.options
         return scene.reduced(options.downscale, options.max_resolution).corrected(
             read_poses(self.path))

@@ -129,9 +129,8 @@ def scored_at_once(views: Sequence[View]) -> int:
 def pictures_of(renderer: ModelRenderer, rows: Any, degree: int, test: Sequence[View],
                 train: Sequence[View], per_view: list[dict[str, Any]] | None = None,
                 predicted: Predicted | None = None) -> Pictures:
-    """The pictures at the beginning of a model's report.
-
-    The chosen views are rendered again, so that few views are in memory at full size.
+    """The pictures of a model's report; the chosen views are rendered again, so that few are in
+    memory at full size.
 
     Parameters
     ----------
@@ -167,15 +166,8 @@ def photo_of(view: View) -> NDArray[np.float32]:
 
 def opened(device: Device, gaussians: Gaussians, scene: Scene, options: RenderingOptions
            ) -> tuple[ModelRenderer, Any, int]:
-    """A finished model on a device: the renderer, its rows and the SH degree.
-
-    Parameters
-    ----------
-    device : an open device.
-    gaussians : the model, in the frame of the scene.
-    scene : decides, with `options.near`, where the near plane is.
-    options : of which near, antialiased and background are used.
-    """
+    """A finished model, in the frame of the scene, on a device: the renderer, its rows and the SH
+    degree. The scene decides, with `options.near`, where the near plane is."""
     renderer, rows = open_model(device, gaussians, scene.near(options.near), options.antialiased,
                                 options.background)
     return renderer, rows, gaussians.sh_degree
@@ -188,8 +180,7 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
 
     Parameters
     ----------
-    run : the run.
-    device : an open device.
+    run, device : the run, and an open device.
     save_images : whether PANELS are written into the run, side by side as PNG.
     scene_path : where the scene is now; None: where the run has recorded it.
     metrics : by their names.
@@ -239,13 +230,8 @@ def training_pictures(run: Run, device: Device) -> Pictures:
 
 def render_views(draw: Callable[[Camera], Image], views: Sequence[View],
                  folder: Path, beside: bool = False) -> None:
-    """Write pictures of views, FOLDER/NAME.png.
-
-    Parameters
-    ----------
-    draw : called with a camera; returns [H, W, 3], 0 to 1.
-    beside : put the photo at the picture's right.
-    """
+    """Write pictures [H, W, 3], 0 to 1, of views, FOLDER/NAME.png; `beside`: with the photo at the
+    right."""
     for view in views:
         image = draw(view.camera)
         if beside:

@@ -59,19 +59,10 @@ def create_database(path: Path, cameras: Sequence[SourceCamera]) -> None:
     with pycolmap.Database.open(partial) as database:
         for number, source in enumerate(cameras, 1):
             database.write_camera(camera_of(number, source), use_camera_id=True)
-            sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, number)
-            rig = pycolmap.Rig()
-            rig.rig_id = number
-            rig.add_ref_sensor(sensor)
-            database.write_rig(rig, use_rig_id=True)
             for index in source.photos:
                 image = pycolmap.Image(name=image_name(index), camera_id=number)
-                frame = pycolmap.Frame()
-                image.image_id = frame.frame_id = image_id(index)
-                frame.rig_id = number
-                frame.add_data_id(pycolmap.data_t(sensor, image.image_id))
+                image.image_id = image_id(index)
                 database.write_image(image, use_image_id=True)
-                database.write_frame(frame, use_frame_id=True)
     os.replace(partial, path)
 
 
@@ -94,12 +85,8 @@ def threads() -> int:
 
 def extract_features(path: Path, photos: Sequence[SourcePhoto], progress: Progress
                      ) -> dict[str, str]:
-    """Write the features of photos into a database, except those that it has already.
-
-    Returns
-    -------
-    The reasons, by name, why photos cannot be used: their pixels are damaged.
-    """
+    """Write the features of photos into a database, except those that it has already; the reasons,
+    by name, why photos cannot be used: their pixels are damaged."""
     failures = {}
     with pycolmap.Database.open(path) as database:
         missing = [index for index in range(len(photos))
@@ -153,17 +140,10 @@ def _features(photo: SourcePhoto) -> tuple[NDArray[np.float32], NDArray[np.uint8
 
 
 def match_pairs(path: Path, pairs: NDArray[np.int64], progress: Progress) -> None:
-    """Match pairs of photos and check them by the geometry of two views, except those that the
-    database has already.
+    """Match pairs of photos, int[P, 2], and check them by the geometry of two views, except those
+    that the database, whose folder gets a temporary list, has already.
 
-    Parameters
-    ----------
-    path : of the database, with the features of the photos; its folder gets a temporary list.
-    pairs : int[P, 2], indices of photos.
-
-    Raises
-    ------
-    InputError : the disk is nearly full, in which case pycolmap would end the process.
+    InputError if the disk is nearly full, in which case pycolmap would end the process.
     """
     options = pycolmap.FeatureMatchingOptions()
     options.use_gpu, options.num_threads = False, threads()

@@ -26,21 +26,13 @@ SEED = 0
 
 def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, progress: Progress
                ) -> Any:
-    """Reconstruct the poses of photos.
+    """A pycolmap.Reconstruction of so many photos, InputError if none could be placed.
 
     Parameters
     ----------
     database : with the matches of the photos; its folder keeps intermediate results.
     cameras : of the photos; see `are_calibrated`.
     photos : how many there are.
-
-    Returns
-    -------
-    A pycolmap.Reconstruction.
-
-    Raises
-    ------
-    InputError : no photos could be placed.
     """
     fixed, matched = are_calibrated(cameras), len(partners(database))
     work = database.parent

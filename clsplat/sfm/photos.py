@@ -18,7 +18,6 @@ UNREAD = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2", ".heic
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".wmv")
 RECORD, UNFINISHED = "sfm.json", ".sfm"  # in the folder of a scene that was made of photos
 WRITTEN = (RECORD, UNFINISHED, OPTIONS, CITY)  # of which a folder that clsplat writes has one
-NO_PHOTO = "it is named as a mask, and the photo is missing: it is not used"
 LEAST_PHOTOS = 3
 LEAST_FOR_OPENCV = 8  # photos of a camera; fewer do not determine all parameters of the model
 DEFAULT_FOCAL = 1.2  # of the long side of a photo, COLMAP's value where nothing is known
@@ -97,15 +96,11 @@ def find_photos(folder: Path, masks: Path | None = None
         below for below, _ in _folders(root)
         if below.name.lower() in FOLDERS and below != root and _are_masks(below)]
     photos, refused, unread, stems = [], {}, [], set()
-    named = []  # as masks
     for path in sorted(_files(root, hidden), key=lambda path: path.relative_to(root).as_posix()):
         relative = path.relative_to(root)
         if path.suffix.lower() in UNREAD:
             unread.append(relative)
-        if not _is_photo(path):
-            continue
-        if photo_of(path.name):
-            named.append(path)
+        if not _is_photo(path) or photo_of(path.name):
             continue
         stems.add(relative.with_suffix(""))
         name = relative.as_posix().encode(errors="replace").decode()
@@ -129,10 +124,6 @@ def find_photos(folder: Path, masks: Path | None = None
     # a camera may write each photo in both formats
     refused |= {relative.as_posix(): "camera RAW and HEIC are not read: convert it to JPEG"
                 for relative in unread if relative.with_suffix("") not in stems}
-    if masks is None:
-        named += [path for below in hidden for path in _files(below) if _is_photo(path)]
-        refused |= {path.relative_to(root).as_posix(): NO_PHOTO for path in named
-                    if path not in files.used}
     if beside and not any(photo.mask for photo in photos):
         raise InputError(f"{'--masks ' if masks else ''}{beside[0]}: has a mask for none of the "
                          "photos; name them as the photos, with .png as the suffix or after it")

@@ -247,12 +247,7 @@ class Unfinished:
 
     def open(self, photos: Sequence[SourcePhoto], options: dict[str, Any], overwrite: bool) -> None:
         """Begin or continue a reconstruction; InputError if the folder has what other photos or
-        options left, which may not be overwritten.
-
-        Parameters
-        ----------
-        options : on which features, matches and poses depend.
-        """
+        options, on which features, matches and poses depend, left and may not be overwritten."""
         state = {"options": options, "photos": [
             [photo.name, photo.path.stat().st_size, str(photo.mask)] for photo in photos]}
         path = self.folder / STATE
@@ -299,21 +294,12 @@ class Unfinished:
 
 def write_scene(folder: Path, reconstruction: Any, photos: Sequence[SourcePhoto],
                 progress: Progress) -> list[str]:
-    """Write images/, masks/ and sparse/0 of a scene.
+    """Write images/, masks/ and sparse/0 of a scene, and give points their colours; the names of
+    the registered photos, sorted.
 
     Photos and masks are hard links, so that the scene outlives its source without a second copy on
     the disk; on another file system they are copied. What is there already stays. The model has the
     cameras of the photos with their lens distortion.
-
-    Parameters
-    ----------
-    folder : of the scene.
-    reconstruction : a pycolmap.Reconstruction whose images have the names of photos; its points get
-        their colours.
-
-    Returns
-    -------
-    The names of the registered photos, sorted.
     """
     by_name = {photo.name: photo for photo in photos}
     names = sorted(image.name for image in reconstruction.images.values() if image.has_pose)

@@ -20,7 +20,7 @@ from clsplat.report import compare
 from clsplat.report.groups import Trained, differing
 from clsplat.training.loop import resume, train
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, options_of, trained
-from tests.evaluation.test_lpips import NETWORK
+from tests.evaluation.test_metrics import NETWORK
 from tests.test_options import FIELDS, another, serving
 
 AFFECTS = {name: field.metadata["affects"] for name, field in FIELDS.items()}

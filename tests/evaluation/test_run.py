@@ -114,9 +114,9 @@ def test_scores_from_aligned_poses_stand_beside_the_others(run, item_device):
     assert score.psnr_aligned != score.psnr and 0 < score.aligned_degrees < 2
     assert 0 < score.aligned_shift < 0.05
     lines = summary(result).splitlines()
-    assert [line.split()[0] for line in lines[1:5]] == ["plain", "colour-corrected", "aligned",
+    assert [line.split()[0] for line in lines[2:6]] == ["plain", "colour-corrected", "aligned",
                                                         "both"]
-    assert f"{score.psnr_cc_aligned:.2f}" in lines[4] and "degrees" in lines[5]
+    assert f"{score.psnr_cc_aligned:.2f}" in lines[5] and "degrees" in lines[6]
     assert "aligned" not in summary(evaluate_run(run, item_device, save_images=False))
 
 

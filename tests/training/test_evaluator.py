@@ -8,7 +8,7 @@ from clsplat.errors import InputError
 from clsplat.io.scenes.read import read_scene
 from clsplat.training.recorder import Evaluator, Recorder
 from tests.data.tiny_training import CITY, STILL, resumed, trained
-from tests.evaluation.test_lpips import NETWORK
+from tests.evaluation.test_metrics import NETWORK
 
 SHORT = {**STILL, "iterations": 6, "eval_every": 3}
 

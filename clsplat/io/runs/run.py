@@ -61,13 +61,9 @@ class RunFolder:
         """Begin a new run in a folder, which is created if needed. If it may hold a run, the first
         write, `write_options`, removes the files of that and nothing else."""
         run = cls(path)
-        try:
-            run.path.mkdir(parents=True, exist_ok=True)
-            run.check_free(overwrite)
-            run._replaces = True
-        except OSError as error:
-            raise InputError(f"{run.path}: cannot be used as run folder ({error.strerror}); "
-                             "choose another --output") from None
+        make_folder(run.path, "choose another --output")
+        run.check_free(overwrite)
+        run._replaces = True
         return run
 
     def check_free(self, overwrite: bool) -> None:
@@ -156,13 +152,13 @@ class RunFolder:
     def log(self, record: dict[str, Any]) -> None:
         """Append one line to the metrics; numbers that are not finite become null."""
         path = self.path / METRICS
-        line = json.dumps(plain(record), allow_nan=False) + "\n"
+        line = _line(record)
         try:
             with open(path, "ab") as file:
                 if not self._metrics_whole:
                     file.truncate(len(_whole_lines(path.read_bytes())))
                     self._metrics_whole = True
-                file.write(line.encode())
+                file.write(line)
         except OSError as error:
             self._metrics_whole = False
             raise InputError(f"{path}: cannot be written ({error.strerror}); "
@@ -183,42 +179,35 @@ class RunFolder:
     def records(self) -> list[dict[str, Any]]:
         """The records of the metrics in order, [] if there are none yet; a last line that was cut
         short is left out."""
-        return [record for record, _ in self._lines()]
+        path, records = self.path / METRICS, []
+        lines = _whole_lines(path.read_bytes()).splitlines() if path.exists() else []
+        for number, line in enumerate(lines, 1):
+            try:
+                records.append(object_of(line))
+            except ValueError as error:
+                raise InputError(f"{path}: line {number} is damaged ({reason(error)}); "
+                                 "remove that line") from None
+        return records
 
     def add_scores(self, scores: dict[str, Any]) -> None:
         """Add scores of the finished model to the last evaluation in the metrics, if there is one;
         they replace those that are there."""
-        lines = self._lines()
-        places = [n for n, (record, _) in enumerate(lines) if record.get("event") == "eval"]
-        if not places:
-            return
-        record = {**lines[places[-1]][0], **scores}
-        text = json.dumps(plain(record), allow_nan=False) + "\n"
-        with replacing(self.path / METRICS) as file:
-            file.writelines(text.encode() if n == places[-1] else line
-                            for n, (_, line) in enumerate(lines))
-
-    def _lines(self) -> list[tuple[dict[str, Any], bytes]]:
-        path = self.path / METRICS
-        lines: list[tuple[dict[str, Any], bytes]] = []
-        if not path.exists():
-            return lines
-        for number, line in enumerate(_whole_lines(path.read_bytes()).splitlines(keepends=True), 1):
-            try:
-                lines.append((object_of(line), line))
-            except ValueError as error:
-                raise InputError(f"{path}: line {number} is damaged ({reason(error)}); "
-                                 "remove that line") from None
-        return lines
+        records = self.records()
+        evaluations = [record for record in records if record.get("event") == "eval"]
+        if evaluations:
+            evaluations[-1].update(scores)
+            self._rewrite(records)
 
     def rewind(self, iteration: int) -> None:
         """Drop the metrics after an iteration, whose steps a resumed run repeats."""
-        lines = self._lines()
-        kept = [line for record, line in lines if (record.get("iteration") or 0) <= iteration]
-        if len(kept) == len(lines):
-            return
+        records = self.records()
+        kept = [record for record in records if (record.get("iteration") or 0) <= iteration]
+        if len(kept) < len(records):
+            self._rewrite(kept)
+
+    def _rewrite(self, records: Iterable[dict[str, Any]]) -> None:
         with replacing(self.path / METRICS) as file:
-            file.writelines(kept)
+            file.writelines(map(_line, records))
 
     @property
     def has_checkpoint(self) -> bool:
@@ -307,6 +296,10 @@ def find_runs(path: str | Path) -> list[RunFolder]:
         raise InputError(f"{path}: holds no run ({OPTIONS} is missing here and two levels below); "
                          "give folders that `clsplat train` wrote")
     return [RunFolder.open(folder) for folder in folders]
+
+
+def _line(record: dict[str, Any]) -> bytes:
+    return (json.dumps(plain(record), allow_nan=False) + "\n").encode()
 
 
 def _whole_lines(data: bytes) -> bytes:
