@@ -1,5 +1,7 @@
 """The errors that a user can meet. Each message is one line that names the cause and the cure."""
 
+MOST_CHARACTERS = 200  # of the reason of another library
+
 
 class ClsplatError(Exception):
     """Base of every error that the command line reports in one line, with exit code 2."""
@@ -39,3 +41,16 @@ class Interrupted(ClsplatError):
     def __init__(self, message: str = "", planned: bool = False) -> None:
         super().__init__(message)
         self.planned = planned
+
+
+def reason(error: BaseException) -> str:
+    """The cause that another library gives, as part of one line: the first line of an exception in
+    printable characters, or its type if it has no text."""
+    if isinstance(error, OSError) and error.strerror:  # the file is named by the message around it
+        return clean(error.strerror)
+    return clean(next(iter(str(error).splitlines()), "")) or type(error).__name__
+
+
+def clean(text: str) -> str:
+    """The beginning of a line, in printable characters."""
+    return (text if text.isprintable() else ascii(text))[:MOST_CHARACTERS]

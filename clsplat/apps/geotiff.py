@@ -22,8 +22,7 @@ from rasterio.enums import Resampling
 from rasterio.errors import CRSError, RasterioError
 
 from clsplat.apps.map_grid import TILE, MapGrid
-from clsplat.errors import InputError
-from clsplat.io.reason import reason
+from clsplat.errors import InputError, reason
 
 CACHE_MIB = 64  # of GDAL, which takes 5 % of the memory otherwise
 GDAL_ERRORS = RasterioError, CRSError, CPLE_BaseError

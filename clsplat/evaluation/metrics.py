@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import minimum_filter
 from skimage.metrics import structural_similarity
 
-from clsplat.errors import InputError
-from clsplat.io.reason import reason
+from clsplat.errors import InputError, reason
 
 Valid = NDArray[np.bool_] | None
 SSIM_WINDOW = 11  # pixels: skimage truncates a gaussian of sigma 1.5 at 3.5 sigma

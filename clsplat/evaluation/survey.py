@@ -33,29 +33,16 @@ class Overlap:
     ----------
     counts : int[R, C], from south to north and from west to east; -1 where there are no points.
     bounds : (west, east, south, north), map coordinates without the offset of a georeference.
-    area : of a cell, square units of the map.
+    covered : the area at which at least two photos look, square units of the map.
+    mean : the mean number of photos that look at a place of the map.
+    thin : the share of the map at which fewer than three photos look.
     """
 
     counts: NDArray[np.intp]
     bounds: tuple[float, float, float, float]
-    area: float
-
-    @property
-    def covered(self) -> float:
-        """The area at which at least two photos look, square units of the map."""
-        return self.area * int((self.counts >= 2).sum())
-
-    @property
-    def mean(self) -> float:
-        """The mean number of photos that look at a place of the map."""
-        known = self.counts[self.counts >= 0]
-        return float(known.mean()) if len(known) else 0.0
-
-    @property
-    def thin(self) -> float:
-        """The share of the map at which fewer than three photos look."""
-        known = self.counts[self.counts >= 0]
-        return float((known < 3).mean()) if len(known) else 1.0
+    covered: float
+    mean: float
+    thin: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,11 +161,12 @@ def _overlap(scene: Scene, ground: NDArray[np.float64], axes: NDArray[np.float64
     middles = np.column_stack([low[0] + size * (column + 0.5), low[1] + size * (row + 0.5),
                                heights[row, column]])
     local = (middles @ axes - scene.offset) / scene.unit
+    seen = sum((view.sees(local).astype(int) for view in scene.views), np.zeros(len(local), int))
     counts = np.full((rows, columns), -1)
-    counts[row, column] = sum((view.sees(local).astype(int) for view in scene.views),
-                              np.zeros(len(local), int))
+    counts[row, column] = seen
     west, south = low.tolist()
-    return Overlap(counts, (west, west + size * columns, south, south + size * rows), size**2)
+    return Overlap(counts, (west, west + size * columns, south, south + size * rows),
+                   size**2 * int((seen >= 2).sum()), float(seen.mean()), float((seen < 3).mean()))
 
 
 def spreads(residuals: Sequence[Residual]) -> dict[str, AxisError]:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError
-from clsplat.io.reason import reason
+from clsplat.errors import InputError, reason
 
 LARGEST_COORDINATE = 1e15  # world units or pixels: squares and their sums stay within float32
 LONGEST_SIDE = 1 << 20  # pixels

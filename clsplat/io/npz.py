@@ -9,8 +9,7 @@ import numpy as np
 from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError
-from clsplat.io.reason import reason
+from clsplat.errors import InputError, reason
 from clsplat.io.unpack import opened_archive
 
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, reason
 from clsplat.io.atomic import replacing
-from clsplat.io.reason import reason
 from clsplat.io.regular import read_regular
 
 LARGEST_NUMBER = 1e100  # sums of squares stay finite
@@ -55,7 +54,7 @@ def write_object(path: Path, record: dict[str, Any], indent: int = 1) -> None:
 def _finite(text: str) -> float:
     value = float(text)
     if not abs(value) <= LARGEST_NUMBER:
-        raise ValueError(f"{text} is not a finite number")
+        raise ValueError(f"{text[:20]} is not a finite number")
     return value
 
 

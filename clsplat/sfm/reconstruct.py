@@ -14,7 +14,7 @@ from typing import Any
 import pycolmap
 
 from clsplat import __version__
-from clsplat.errors import InputError
+from clsplat.errors import InputError, reason
 from clsplat.io.folders import link_file, make_folder
 from clsplat.io.georeference.adjustment import NotGeoreferenced, check_marks
 from clsplat.io.georeference.control_points import read_control_points
@@ -24,7 +24,6 @@ from clsplat.io.georeference.reconstruction import Placed, place_reconstruction,
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.photos.masks import MASKS
 from clsplat.io.photos.photo import common_levels, levels_note
-from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, read_object, write_object
 from clsplat.io.regular import read_regular
 from clsplat.io.scenes.colmap import write_reconstruction

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import laplace, zoom
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, reason
 from clsplat.io.folders import make_folder
 from clsplat.io.photos.images import write_image
-from clsplat.io.reason import reason
 from clsplat.sfm.progress import Progress
 
 try:

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, reason
 from clsplat.gaussians import FIELDS, LEARNED, Field, Gaussians
-from clsplat.io.reason import reason
 from clsplat.io.runs.run import CHECKPOINT, OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
 from clsplat.options import checked

@@ -14,7 +14,7 @@ from typing import Any
 
 from clsplat.config.option import is_auto
 from clsplat.device import Device
-from clsplat.errors import ClsplatError, InputError, Interrupted
+from clsplat.errors import ClsplatError, InputError, Interrupted, reason
 from clsplat.evaluation.views import pictures_of
 from clsplat.gaussians import Gaussians
 from clsplat.io.georeference.files import placed, placement_comments, write_placement
@@ -22,7 +22,6 @@ from clsplat.io.models.ply import START, start_comment
 from clsplat.io.models.values import mode_comment
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
-from clsplat.io.reason import reason
 from clsplat.io.records import digest_of
 from clsplat.io.runs.run import PART_OF_CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, clean
 from clsplat.io.fields import parsed, reading
 from clsplat.io.georeference.crs import (
     WGS84,
@@ -29,7 +29,6 @@ from clsplat.io.georeference.crs import (
     on_ground,
     pyproj_crs,
 )
-from clsplat.io.reason import clean
 from clsplat.io.regular import read_regular
 
 NUMBERS = ("x", "y", "z", "pixel_x", "pixel_y")

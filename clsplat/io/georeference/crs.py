@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.errors import InputError
-from clsplat.io.reason import clean, reason
+from clsplat.errors import InputError, clean, reason
 
 # of WGS 84: latitude and longitude; the same with heights; x, y and z in metres
 WGS84, GEODETIC, GEOCENTRIC = "EPSG:4326", "EPSG:4979", "EPSG:4978"

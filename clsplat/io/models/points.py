@@ -18,13 +18,12 @@ import numpy as np
 import plyfile
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, clean, reason
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import LARGEST_COORDINATE, reading
 from clsplat.io.georeference.crs import cloud_on_map, pyproj_crs
 from clsplat.io.models.values import Notes, colours_of, opacities, usable
-from clsplat.io.reason import clean, reason
 from clsplat.io.regular import open_regular
 from clsplat.io.unpack import check_expansion
 

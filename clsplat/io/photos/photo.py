@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, clean
 from clsplat.io.fields import reading
 from clsplat.io.photos.resample import band_rows
-from clsplat.io.reason import clean
 from clsplat.io.regular import open_regular
 
 # a header that claims more pixels is damaged: no decoder may allocate memory for it

@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, reason
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.folders import new_folder
 from clsplat.io.models.ply import start_of, write_ply
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
-from clsplat.io.reason import reason
 from clsplat.io.records import digest_of, read_object, write_object
 from clsplat.io.runs.run import CITY, EXPOSURES, FILES, RunFolder, read_exposures, write_exposures
 from clsplat.io.scenes.write import link_again, write_scene

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, reason
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL, replacing
 from clsplat.io.fields import numbers, reading
@@ -22,7 +22,6 @@ from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
-from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, read_object, write_object
 from clsplat.io.regular import read_regular
 from clsplat.io.runs.origin import origin, recorded_scene, scene_record

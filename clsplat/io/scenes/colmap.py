@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, reason
 from clsplat.io.photos.lenses import undistorted_model
-from clsplat.io.reason import reason
 from clsplat.io.scenes.checks import checked_scene
 from clsplat.io.scenes.colmap_files import PARTS, PINHOLES, read_part
 from clsplat.io.scenes.sources import IMAGES, checked_photos, photo_folder

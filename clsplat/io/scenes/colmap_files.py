@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from clsplat.errors import reason
 from clsplat.io.atomic import replacing
-from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular, read_regular
 from clsplat.scene import View
 

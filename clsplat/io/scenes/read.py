@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, reason
 from clsplat.io.georeference.files import placed
 from clsplat.io.photos.masks import with_masks
-from clsplat.io.reason import reason
 from clsplat.io.runs.city import cropped_to_windows
 from clsplat.io.scenes.colmap import has_model, has_parts, read_citygs, read_colmap
 from clsplat.io.scenes.projects.metashape import find_metashape, read_metashape

@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from clsplat.camera import Lens
-from clsplat.errors import InputError
+from clsplat.errors import MOST_CHARACTERS, InputError
 from clsplat.io.photos.metadata import QUARTERS
 from clsplat.io.photos.photo import Photo, common_levels, levels_note, opened
-from clsplat.io.reason import MOST_CHARACTERS
 from clsplat.scene import Scene, View
 
 # of files that may be photos; what they are follows from their content

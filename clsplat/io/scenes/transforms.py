@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, reason
 from clsplat.io.fields import number, pixels, reading, text
 from clsplat.io.photos.images import image_size
 from clsplat.io.photos.lenses import PANORAMA, Model, brown_model
-from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 from clsplat.io.scenes.posed import FLIPPED, Cloud, Optics, PosedPhoto, posed_scene, read_cloud

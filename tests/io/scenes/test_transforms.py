@@ -212,7 +212,7 @@ def tilted(table):
     ({"ply_file_path": "none.ply"}, "none.ply.*no such file"),
     ({"applied_transform": [[1, 2]]}, "applied_transform is not a 3x4 or 4x4 matrix"),
     (first(file_path=None), "frame 0.*file_path is not valid text"),
-    ({"fl_x": 10**400}, "frame 0 is damaged"),
+    ({"fl_x": 10**400}, "10000000000000000000 is not a finite number"),
     (first(file_path="images/lost.jpg"), "lost.jpg: no such image"),
     (first(file_path="images/004.jpg"), "004.jpg occurs twice"),
     (first(transform_matrix=[["a"] * 4] * 4), "frame 0 is damaged"),

@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from clsplat.errors import reason
 from clsplat.georeference import Georeference
 from clsplat.io.fields import number, numbers, pixels, reading, table, tables, text
 from clsplat.io.georeference.crs import is_local, project_crs
 from clsplat.io.models.gltf import accessor
 from clsplat.io.photos.images import image_size
-from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import open_regular, read_regular
 from clsplat.io.scenes.posed import FLIPPED, Cloud, Optics, PosedPhoto, brown, only

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError
+from clsplat.errors import MOST_CHARACTERS, InputError, reason
 from clsplat.georeference import Georeference
 from clsplat.io.fields import CONTROL
 from clsplat.io.georeference.crs import (
@@ -24,7 +24,6 @@ from clsplat.io.georeference.crs import (
     project_crs,
     utm_zone,
 )
-from clsplat.io.reason import MOST_CHARACTERS, reason
 from clsplat.io.scenes.posed import Cloud, PosedPhoto, posed_scene, read_cloud
 from clsplat.io.scenes.sources import IMAGES, PHOTO_SUFFIXES, photo_folder
 from clsplat.placement.alignment import Similarity
