@@ -6,6 +6,7 @@ the harmonics of all gaussians are chosen from a palette.
 """
 
 import json
+import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.vq import kmeans2, vq
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -53,7 +55,7 @@ PALETTE_COLUMNS = 64
 FEWEST_COLOURS, MOST_COLOURS, GAUSSIANS_A_COLOUR = 1024, 1 << 13, 32
 SMALLEST_SPAN = 1e-12
 CODEBOOK, CODEBOOK_ROUNDS = 256, 30
-PALETTE_ROUNDS, MOST_SAMPLED, ROWS_AT_A_TIME = 3, 1 << 18, 1 << 12
+PALETTE_ROUNDS, MOST_SAMPLED = 3, 1 << 18
 
 
 def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
@@ -230,23 +232,12 @@ def _palette(rows: NDArray[np.floating], most: int) -> tuple[NDArray[np.float32]
     clusters which are cut in two until there are enough.
     """
     values = rows.astype(np.float32)
-    if not len(values):
-        return values, np.zeros(0, np.intp)
     sample = values[::-(-len(values) // MOST_SAMPLED)]
-    centres = sample[np.linspace(0, len(sample) - 1, min(most, len(sample))).astype(int)]
-    for _ in range(PALETTE_ROUNDS):
-        # a cluster may have become empty
-        labels = np.unique(_nearest(sample, centres), return_inverse=True)[1]
-        count = np.bincount(labels)
-        centres = np.stack([np.bincount(labels, column) / count for column in sample.T],
-                           axis=1).astype(np.float32)
-    return centres, _nearest(values, centres)
-
-
-def _nearest(values: NDArray[np.float32], centres: NDArray[np.float32]) -> NDArray[np.intp]:
-    half = (centres**2).sum(axis=1) / 2
-    return np.concatenate([(values[begin:begin + ROWS_AT_A_TIME] @ centres.T - half).argmax(axis=1)
-                           for begin in range(0, len(values), ROWS_AT_A_TIME)])
+    first = sample[np.linspace(0, len(sample) - 1, min(most, len(sample))).astype(int)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a cluster may have become empty
+        centres, _ = kmeans2(sample, first, PALETTE_ROUNDS, minit="matrix")
+    return centres, vq(values, centres)[0]
 
 
 def encode_webp(pixels: NDArray[np.uint8]) -> bytes:
