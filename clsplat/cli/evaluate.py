@@ -1,4 +1,4 @@
-"""`clsplat eval`: the held-out views of a run against their photos."""
+"""`clsplat eval` and `compare`: the scores of a run, and runs side by side."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from clsplat.cli.flags import device_flag, moved_scene_flag
+from clsplat.cli.flags import FiniteRange, device_flag, moved_scene_flag
 
 PERCEPTUAL = ("flip", "flip_cc", "lpips", "lpips_cc")  # which older runs lack
 
@@ -77,3 +77,21 @@ def summary(result: dict[str, Any]) -> str:
             for label, suffix in kinds.items()]
     views = f"{result['views']} held-out view{'s' if result['views'] != 1 else ''}"
     return Table(views, ("", *map(str.upper, names)), rows, range(1, 1 + len(names)), notes).text()
+
+
+@click.command()
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path),
+              help="Folder for compare.html, .png and .json; default: the common folder of RUNS.")
+@click.option("--psnr", "levels", multiple=True, type=FiniteRange(min=0),
+              help="Colour-corrected PSNR, dB, whose training times to list; repeatable; default: "
+              "three chosen from the data.")
+def compare(runs: tuple[Path, ...], output: Path | None, levels: tuple[float, ...]) -> None:
+    """Plot the error of RUNS over training time.
+
+    RUNS are run folders, or folders with several runs. Runs that differ only by seed are drawn as
+    one, with their spread.
+    """
+    from clsplat.report.compare import write_comparison
+    text, page = write_comparison(runs, output, levels)
+    click.echo(f"{text}\n\npage: {click.format_filename(page)}")

@@ -14,10 +14,9 @@ import click
 from clsplat import __version__
 from clsplat.cli.bench import bench
 from clsplat.cli.city import block, city, merge, partition_command
-from clsplat.cli.compare import compare
 from clsplat.cli.devices import devices
 from clsplat.cli.edit import edit
-from clsplat.cli.evaluate import evaluate
+from clsplat.cli.evaluate import compare, evaluate
 from clsplat.cli.export import export
 from clsplat.cli.film import film
 from clsplat.cli.flags import SectionedGroup

@@ -21,10 +21,10 @@ SHOWN = 5  # photos that were not registered
 @click.option("--masks", type=click.Path(path_type=Path),
               help="Folder of masks NAME.png, dark where a photo shall not be used. Default: those "
               "that are named as such in PHOTOS.")
-@click.option("--matching", type=click.Choice(("auto", "gps", "sequence", "all")),
+@click.option("--matching", type=click.Choice(("auto", "sequence", "all")),
               default="auto", show_default=True,
-              help="Which pairs of photos are matched: neighbours by GPS, photos that follow each "
-              "other by name, or all.")
+              help="Which pairs of photos are matched: those that follow each other by name, or "
+              "all. Default: neighbours by GPS, or photos of similar content.")
 @click.option("--camera-model", default="", metavar="NAME",
               help="Camera model of COLMAP, such as OPENCV_FISHEYE. Default: chosen for each "
               "camera.")

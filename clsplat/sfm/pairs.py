@@ -14,7 +14,6 @@ import pycolmap
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from clsplat.errors import InputError
 from clsplat.sfm.features import image_id
 from clsplat.sfm.photos import SourcePhoto
 from clsplat.sfm.progress import Progress
@@ -39,27 +38,20 @@ def choose_pairs(database: Path, photos: Sequence[SourcePhoto], method: str, pro
     Parameters
     ----------
     database : with the features of the photos.
-    method : auto, gps, sequence or all.
+    method : auto, sequence or all.
 
     Returns
     -------
     int[P, 2], indices of photos, the smaller one first; and why these, as text.
-
-    Raises
-    ------
-    InputError : too few photos have GPS, which was asked for.
     """
     count = len(photos)
-    with_gps = sum(photo.metadata.latitude is not None for photo in photos)
-    if method == "gps" and with_gps < LEAST_WITH_GPS * count:
-        raise InputError(f"--matching gps: only {with_gps} of {count} photos have GPS; "
-                         "leave the option out")
     if method == "all" or method == "auto" and count <= FEW_PHOTOS:
         rows = np.column_stack(np.triu_indices(count, 1))
         return rows, f"all {len(rows):,} pairs of {count} photos"
-    if method in ("auto", "gps") and with_gps >= LEAST_WITH_GPS * count:
+    with_gps = sum(photo.metadata.latitude is not None for photo in photos)
+    if method == "auto" and with_gps >= LEAST_WITH_GPS * count:
         near, reach = _neighbours(photos)
-        if method == "gps" or reach >= LEAST_REACH:
+        if reach >= LEAST_REACH:
             rows = _unique(near, count, BEFORE_AND_AFTER)
             return rows, (f"{len(rows):,} pairs of neighbours by GPS ({with_gps} of {count} "
                           "photos have it)")

@@ -1,9 +1,7 @@
 """Which pairs are matched, by what is known of the photos."""
 
 import numpy as np
-import pytest
 
-from clsplat.errors import InputError
 from clsplat.sfm import pairs
 from clsplat.sfm.pairs import _shared_features, choose_pairs
 from tests.sfm.cases import Lines, source
@@ -27,11 +25,6 @@ def test_neighbours_by_gps():
     apart = rows[:, 1] - rows[:, 0]
     assert apart.min() == 1 and apart.max() <= pairs.NEIGHBOURS
     assert {(0, 1), (30, 31), (58, 59), (20, 26)} <= set(map(tuple, rows.tolist()))
-
-
-def test_gps_that_photos_lack_cannot_be_asked_for():
-    with pytest.raises(InputError, match="only 0 of 5 photos have GPS"):
-        choose_pairs(None, [source() for _ in range(5)], "gps", Lines())
 
 
 def test_videos_and_unknown_photos_are_compared_by_their_largest_features(monkeypatch):
