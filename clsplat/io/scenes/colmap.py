@@ -27,7 +27,12 @@ PER_VIEW = ("names", "rotations", "translations", "focals", "centres", "sizes", 
 LONGEST_SIDE = 2**31  # pixels; what is larger is damaged, and overflows
 
 
-def read_colmap(folder: str | Path, images: str = "") -> Scene:
+def find_colmap(path: Path) -> Path | None:
+    """The path if it is a folder that is meant to have a sparse model."""
+    return path if _is_model(path) or (path / "sparse").exists() else None
+
+
+def read_colmap(folder: Path, images: str = "") -> Scene:
     """Read and recentre the scene of a folder with `images/` and a COLMAP model, binary or text.
 
     The model is searched in sparse/0, sparse, the folder itself and other sparse/N. Every photo
@@ -38,13 +43,11 @@ def read_colmap(folder: str | Path, images: str = "") -> Scene:
     ----------
     images : the folder of the photos, see `photo_folder`.
     """
-    folder = Path(folder)
     model, arrays = read_model(folder)
     photos = photo_folder(folder, images)
-    sources = [photos / name for name in arrays["files"]]
-    scene = checked_scene(model, folder.resolve().name, arrays, sources)
-    scene, largest = replace(scene, path=folder), max(
-        _numbered_models(folder), key=_bytes, default=model)
+    scene = checked_scene(model, folder.resolve().name, arrays,
+                          [photos / name for name in arrays["files"]])
+    largest = max(_numbered_models(folder), key=_bytes, default=model)
     if model.parent.name == "sparse" and _bytes(largest) > _bytes(model):
         scene = replace(scene, notes=(
             f"the model sparse/{model.name} is used, and sparse/{largest.name} is larger: COLMAP "
@@ -54,12 +57,13 @@ def read_colmap(folder: str | Path, images: str = "") -> Scene:
     return checked_photos(scene, photos if may_be_smaller else None).recentred()
 
 
-def has_parts(folder: Path) -> bool:
-    """Whether the COLMAP models of a folder are in train/ and val/."""
-    return (folder / TRAIN / "sparse").is_dir() and not (folder / "sparse").is_dir()
+def find_citygs(path: Path) -> Path | None:
+    """The path if it is a folder whose COLMAP models are in train/ and val/."""
+    has_parts = (path / TRAIN / "sparse").is_dir() and not (path / "sparse").is_dir()
+    return path if has_parts else None
 
 
-def read_citygs(folder: Path) -> Scene:
+def read_citygs(folder: Path, images: str = "") -> Scene:
     """Read the scene of a folder whose train/ and val/ are COLMAP folders, and recentre it.
 
     The views of val/ are held out, and the points are those of train/. Photos are in images/ or
@@ -135,25 +139,17 @@ def read_model(folder: Path, may_be_empty: Collection[str] = ()
         for camera in used])
 
 
-def has_model(folder: Path) -> bool:
-    """Whether a folder is meant to have a sparse model, where `read_model` looks for it."""
-    return _is_model(folder) or (folder / "sparse").exists()
-
-
 def _find_model(folder: Path) -> Path:
     """Find the sparse model of a scene folder: sparse/0, sparse, the folder itself, or else the
     model with the most images below sparse/."""
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; give a scene folder with images and sparse/0")
     for model in (folder / "sparse" / "0", folder / "sparse", folder):
         if _is_model(model):
             return model
     others = _numbered_models(folder)
     if others:
         return max(others, key=_bytes)
-    raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; of "
-                     "photos, make a scene with `clsplat sfm` or let `clsplat train` do it "
-                     "(docs/guide/photos.md), or give another folder")
+    raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; make a "
+                     "scene with `clsplat sfm` (docs/guide/photos.md), or give another folder")
 
 
 def _is_model(folder: Path) -> bool:

@@ -35,27 +35,26 @@ LENSES = {FISHEYE: COEFFICIENTS[:4], RATIONAL: COEFFICIENTS, **dict.fromkeys(
     (*COEFFICIENTS[:4], "p1", "p2"))}
 
 
-def has_transforms(folder: Path) -> bool:
-    """Whether a folder has transforms.json or transforms_train.json, and not a COLMAP model, which
-    is preferred because it has tracks."""
-    model = ("sparse", "cameras.bin", "cameras.txt")
-    return (any((folder / name).is_file() for name in (TRAIN, ALL))
-            and not any((folder / name).exists() for name in model))
+def find_transforms(path: Path) -> Path | None:
+    """transforms_train.json or transforms.json in a folder without a COLMAP model, which is
+    preferred because it has tracks."""
+    if any((path / name).exists() for name in ("sparse", "cameras.bin", "cameras.txt")):
+        return None
+    return next((path / name for name in (TRAIN, ALL) if (path / name).is_file()), None)
 
 
-def read_transforms(folder: Path) -> Scene:
-    """Read the scene of a folder with transforms_train.json and perhaps transforms_test.json, whose
-    views are held out, or with transforms.json alone, and recentre it.
+def read_transforms(path: Path, images: str = "") -> Scene:
+    """Read the scene of transforms.json, or of transforms_train.json and perhaps the
+    transforms_test.json beside it, whose views are held out, and recentre it.
 
-    Photos are at `file_path`, relative to the folder; the name of a view is that path without "..".
-    The points are those of `ply_file_path` or of `posed.read_cloud`; without them they are sampled.
+    The name of a view is the `file_path` of its photo, relative to the folder, without "..". The
+    points are those of `ply_file_path` or of `posed.read_cloud`; without them they are sampled.
     """
-    path = folder / (TRAIN if (folder / TRAIN).exists() else ALL)
-    table = _table(path)
+    table, test = _table(path), path.with_name(TEST)
     photos = _posed_photos(path, table, False)
-    if path.name == TRAIN and (folder / TEST).exists():
-        photos += _posed_photos(folder / TEST, _table(folder / TEST), True)
-    return posed_scene(path, folder, photos, _cloud(path, table))
+    if path.name == TRAIN and test.exists():
+        photos += _posed_photos(test, _table(test), True)
+    return posed_scene(path, path.parent, photos, _cloud(path, table))
 
 
 def _table(path: Path) -> dict[str, Any]:
