@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.georeference import Georeference
 from clsplat.io.fields import LARGEST_COORDINATE
@@ -31,7 +32,7 @@ PLY_NAMES = ("points3D.ply", "sparse_pc.ply")
 COLOURS = ("red", "green", "blue")
 # sampled points: a view, and in all
 POINTS_A_VIEW, MOST_POINTS, FEWEST_POINTS = 500, 500_000, 100
-MOST_ROUNDS = 8
+TRIES_A_POINT = 8
 NEIGHBOURS = 16  # nearest views, of which one more must see a sampled point
 DEPTHS = (0.5, 8.0)  # of sampled points, in distances to the farthest of those neighbours
 LEAST_ANGLE = np.radians(1.0)  # between two views of a sampled point
@@ -44,17 +45,13 @@ class Cloud:
     Attributes
     ----------
     positions : float64[N, 3], world.
-    colours : uint8[N, 3]; None: unknown.
+    colours : uint8[N, 3]; None: unknown, drawn in grey.
     observations : int[M, 2], rows (point, photo); None: unknown.
     """
 
     positions: NDArray[np.float64]
     colours: NDArray[np.uint8] | None = None
     observations: NDArray[np.int64] | None = None
-
-
-# used until the cameras are checked, from which the points are then sampled
-PLACEHOLDER = Cloud(np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)]))
 
 
 @dataclass(frozen=True)
@@ -106,42 +103,44 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
     Parameters
     ----------
     path : the file that messages name.
-    cloud : the points; without them points are sampled where two cameras see, and a warning is
-        logged. Without colours they are grey.
+    cloud : the points; None: they are sampled where two cameras see, and a warning is logged.
     smaller : as for `checked_photos`.
     """
     rotations, translations = exact_poses(np.array([photo.rotation for photo in photos]),
                                           np.array([photo.position for photo in photos]))
-    points = cloud or PLACEHOLDER
     optics = [photo.optics for photo in photos]
     arrays = {
         "names": np.array([photo.name for photo in photos], object), "rotations": rotations,
         "translations": translations, "focals": np.array([each.focal for each in optics]),
         "centres": np.array([each.centre for each in optics]),
-        "sizes": np.array([each.size for each in optics]), "points": points.positions,
-        "colours": np.full((len(points.positions), 3), GREY, np.uint8) if points.colours is None
-        else points.colours}
-    if points.observations is not None:
-        arrays["observations"] = points.observations
+        "sizes": np.array([each.size for each in optics])}
+    if cloud is not None:
+        arrays |= {"points": cloud.positions, "colours": _colours(cloud)}
+        if cloud.observations is not None:
+            arrays["observations"] = cloud.observations
     arrays = undistorted_model(path, arrays, [each.model for each in optics])
-    known = {photo.name: photo for photo in photos}
-    used = [known[name] for name in arrays["files"]]
+    by_name = {photo.name: photo for photo in photos}
+    used = [by_name[name] for name in arrays["files"]]
     scene = checked_scene(path, folder.resolve().name, arrays, [photo.source for photo in used])
     by_view = dict(zip(map(str, arrays["names"]), used))
-    scene = replace(
-        scene, path=folder, notes=tuple(notes), georeference=georeference,
+    scene = checked_photos(replace(
+        scene, notes=tuple(notes), georeference=georeference,
         given_up=np.array([0.0, 0.0, 1.0]) if z_is_up else None,
         held_out=frozenset(name for name, photo in by_view.items() if photo.held_out) or None,
-        views=tuple(replace(view, mask=by_view[view.name].mask) for view in scene.views))
-    scene = checked_photos(scene, smaller)
+        views=tuple(replace(view, mask=by_view[view.name].mask) for view in scene.views)), smaller)
     if cloud is None:
-        sampled = sample_points(path, scene.views)
-        scene = replace(scene, points=sampled, colours=np.full((len(sampled), 3), GREY, np.uint8))
+        cloud = Cloud(sample_points(path, scene.views))
+        scene = replace(scene, points=cloud.positions, colours=_colours(cloud))
         logging.getLogger(__name__).warning(
             "%s: no sparse points: %d are sampled at random where at least two cameras see; a "
             "model trained from points3D.ply beside it, a COLMAP model or --init FILE (a point "
             "cloud) is better", path, len(scene.points))
     return scene.recentred()
+
+
+def _colours(cloud: Cloud) -> NDArray[np.uint8]:
+    return (np.full((len(cloud.positions), 3), GREY, np.uint8) if cloud.colours is None
+            else cloud.colours)
 
 
 def exact_poses(rotations: NDArray[np.float64], positions: NDArray[np.float64]
@@ -203,50 +202,42 @@ def _ply_cloud(path: Path) -> Cloud:
     return Cloud(points, np.stack([rows[name] for name in COLOURS], axis=1))
 
 
-def sample_points(path: str | Path, views: Sequence[View]) -> NDArray[np.float64]:
+def sample_points(path: Path, views: Sequence[View]) -> NDArray[np.float64]:
     """Sample random points, float64[N, 3], in the volume that at least two of the views see.
 
-    Each point lies on the ray of a random pixel of a random view, at a depth whose logarithm is
-    uniform from 0.5 to 8 times the distance to the 16th nearest view, and is kept if one of those
-    16 views sees it too, from a direction at least a degree apart. The same views give the same
-    points (seed 0). InputError, which names the path, if hardly a point is kept.
+    Each point lies on the ray of a random pixel of a view, at a depth whose logarithm is uniform
+    from 0.5 to 8 times the distance to the 16th nearest view, and is kept if one of those 16 views
+    sees it too, from a direction at least a degree apart. The same views give the same points (seed
+    0). InputError, which names the path, if hardly a point is kept.
     """
     random = np.random.default_rng(0)
-    count = min(POINTS_A_VIEW * len(views), MOST_POINTS)
     cameras = [view.camera for view in views]
-    rotation, translation, focal, centre, size, position = map(np.array, zip(*(
-        (camera.rotation, camera.translation, camera.focal, camera.centre,
-         (camera.width, camera.height), camera.position) for camera in cameras), strict=True))
-    most = min(NEIGHBOURS + 1, len(cameras))
-    away, nearest = cKDTree(position).query(position, [*range(1, most + 1)])
-    low, high = np.log(DEPTHS).tolist()
+    positions = np.array([camera.position for camera in cameras])
+    most = min(POINTS_A_VIEW, max(1, MOST_POINTS // len(cameras)))
+    away, nearest = cKDTree(positions).query(
+        positions, [*range(1, min(NEIGHBOURS + 1, len(cameras)) + 1)])
 
-    def directions(view: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-        rays: NDArray[np.float64] = points - position[view]
+    def directions(points: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+        rays: NDArray[np.float64] = points - camera.position
         rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), np.finfo(float).tiny)
         return rays
 
-    kept = np.zeros((0, 3))
-    for _ in range(MOST_ROUNDS):
-        view = random.integers(0, len(cameras), count)
-        pixel = random.uniform(size=(count, 2)) * size[view]
+    kept, (low, high) = [], np.log(DEPTHS)
+    for camera, farthest, others in zip(cameras, away[:, -1], nearest):
+        count = TRIES_A_POINT * most
+        pixels = random.uniform((0, 0), (camera.width, camera.height), (count, 2))
         with np.errstate(all="ignore"):  # points behind a camera, or too far, are not kept
-            depth = away[view, -1] * np.exp(random.uniform(low, high, count))
-            ray = np.column_stack([(pixel - centre[view]) / focal[view], np.ones(count)])
-            points = np.einsum("nji,nj->ni", rotation[view],
-                               ray * depth[:, None] - translation[view])
-            seen, own = np.zeros(count, bool), directions(view, points)
-            for other in nearest[view].T:
-                local = np.einsum("nij,nj->ni", rotation[other], points) + translation[other]
-                pixel = local[:, :2] / local[:, 2:] * focal[other] + centre[other]
-                inside = (local[:, 2] > 0) & ((pixel > 0) & (pixel < size[other])).all(axis=1)
-                apart = np.linalg.norm(own - directions(other, points), axis=1)
-                seen |= inside & (apart > LEAST_ANGLE)
+            depths = farthest * np.exp(random.uniform(low, high, count))
+            rays = np.column_stack([(pixels - camera.centre) / camera.focal, np.ones(count)])
+            points = (rays * depths[:, None] - camera.translation) @ camera.rotation
+            own, seen = directions(points, camera), np.zeros(count, bool)
+            for other in (cameras[index] for index in others):
+                apart = np.linalg.norm(own - directions(points, other), axis=1)
+                seen |= other.shows(points) & (apart > LEAST_ANGLE)
             seen &= (np.abs(points) <= LARGEST_COORDINATE).all(axis=1)
-        kept = np.concatenate([kept, points[seen]])
-        if len(kept) >= count:
-            break
-    if len(kept) < FEWEST_POINTS:
+        kept.append(points[seen][:most])
+    sampled = np.concatenate(kept)
+    if len(sampled) < FEWEST_POINTS:
         raise InputError(f"{path}: no points, and no two cameras see the same place from different "
                          "positions; put points3D.ply beside it, or reconstruct with COLMAP")
-    return kept[:count]
+    return sampled
