@@ -6,7 +6,6 @@ Conventions, used everywhere: camera axes are right, down, forward (COLMAP); the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -307,15 +306,6 @@ class Lens:
         return replace(self, width=width, height=height,
                        focal=(self.focal[0] * sx, self.focal[1] * sy),
                        centre=(self.centre[0] * sx, self.centre[1] * sy))
-
-
-def scene_extent(cameras: Sequence[Camera]) -> float:
-    """1.1 x the largest distance of a camera from the mean camera position (Kerbl et al. 2023).
-
-    In world units; learning rates of positions and size thresholds of densification scale with it.
-    """
-    positions = np.array([camera.position for camera in cameras])
-    return 1.1 * float(np.linalg.norm(positions - positions.mean(0), axis=1).max())
 
 
 def _four(values: NDArray[np.float64]) -> tuple[float, float, float, float]:

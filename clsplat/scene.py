@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.camera import Camera, Lens, scene_extent
+from clsplat.camera import Camera, Lens
 from clsplat.errors import InputError
 from clsplat.georeference import Georeference
 from clsplat.placement.corrections import Correction
@@ -66,19 +66,9 @@ class View:
         return self.mask is not None or self.transparent or self.lens is not None
 
     def sees(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Which points lie in front of the camera and within the image, occluded or not.
-
-        Parameters
-        ----------
-        points : float64[N, 3], in the scene's local coordinates.
-
-        Returns
-        -------
-        bool[N].
-        """
-        pixels, depths = self.camera.project(points)
-        inside: NDArray[np.bool_] = (depths > 0) & self.camera.contains(pixels)
-        return inside
+        """Which points float64[N, 3], local, lie in front of the camera and within the image,
+        occluded or not, bool[N]."""
+        return self.camera.shows(points)
 
     def __repr__(self) -> str:
         return f"<clsplat.View {self.name!r}: {self.camera.width} x {self.camera.height}>"
@@ -151,7 +141,9 @@ class Scene:
         ----------
         corrections : of views by name, in units of the scene; other views stay as they are.
         """
-        return replace(self, views=corrected_views(self.views, corrections), given_up=self.up)
+        views = (replace(view, camera=corrections[view.name].applied(view.camera))
+                 if view.name in corrections else view for view in self.views)
+        return replace(self, views=tuple(views), given_up=self.up)
 
     def with_up(self, up: ArrayLike) -> Self:
         """The same scene, in which a direction points up.
@@ -173,21 +165,24 @@ class Scene:
     @property
     def extent(self) -> float:
         """The scene's size, world units: 1.1 times the largest distance of a camera from the mean
-        camera position; the distance of the points if all cameras have the same position."""
-        extent = scene_extent([view.camera for view in self.views])
-        return extent if self.parallax >= LEAST_PARALLAX else self._distance
+        camera position (Kerbl et al. 2023); the distance of the points if all cameras have the same
+        position. Learning rates of positions and sizes in densification scale with it."""
+        cameras, points = self._sizes
+        return cameras if self.parallax >= LEAST_PARALLAX else points
 
     @property
     def parallax(self) -> float:
         """How far apart the cameras are, as a multiple of the distance of the points from them."""
-        return scene_extent([view.camera for view in self.views]) / max(
-            self._distance, np.finfo(float).tiny)
+        cameras, points = self._sizes
+        return cameras / max(points, np.finfo(float).tiny)
 
     @property
-    def _distance(self) -> float:
-        """Median distance of a point from the mean camera position, world units."""
-        middle = np.mean([view.camera.position for view in self.views], axis=0)
-        return float(np.median(np.linalg.norm(self.points - middle, axis=1)))
+    def _sizes(self) -> tuple[float, float]:
+        """The extent of the cameras, and the median distance of a point from their mean."""
+        positions = np.array([view.camera.position for view in self.views])
+        middle = positions.mean(axis=0)
+        return (1.1 * float(np.linalg.norm(positions - middle, axis=1).max()),
+                float(np.median(np.linalg.norm(self.points - middle, axis=1))))
 
     @property
     def near_plane(self) -> float:
@@ -232,18 +227,15 @@ class Scene:
         ----------
         indices : of the views.
         """
-        views = tuple(self.views[i] for i in sorted(indices))
-        if self.observations is None:
-            seen, known = np.zeros(len(self.points), bool), None
-            for view in views:
-                seen |= view.sees(self.points)
+        chosen = sorted(indices)
+        views, known = tuple(self.views[i] for i in chosen), self.observations
+        if known is None:
+            seen = sum((view.sees(self.points) for view in views), np.zeros(len(self.points), bool))
         else:
-            place = np.full(len(self.views), -1)
-            place[sorted(indices)] = np.arange(len(views))
-            point, view = self.observations.T
-            point, view = point[place[view] >= 0], place[view[place[view] >= 0]]
+            point, view = known[np.isin(known[:, 1], chosen)].T
             seen = np.bincount(point, minlength=len(self.points)) > 0
-            known = np.stack([np.cumsum(seen)[point] - 1, view], axis=1).astype(np.int32)
+            known = np.stack([np.cumsum(seen)[point] - 1, np.searchsorted(chosen, view)],
+                             axis=1).astype(np.int32)
         return replace(self, views=views, points=self.points[seen], colours=self.colours[seen],
                        observations=known, given_up=self.up)
 
@@ -260,10 +252,9 @@ class Scene:
         if known is not None:
             inside = np.ones(len(known), bool)
             order = np.argsort(known[:, 1], kind="stable")
-            ends = np.searchsorted(known[order, 1], np.arange(len(views) + 1))
-            for view, first, end in zip(views, ends, ends[1:]):
+            ends = np.searchsorted(known[order, 1], np.arange(1, len(views)))
+            for view, rows in zip(views, np.split(order, ends)):
                 if view.name in windows:
-                    rows = order[first:end]
                     inside[rows] = view.sees(self.points[known[rows, 0]])
             known = known[inside]
         return replace(self, views=views, observations=known)
@@ -299,16 +290,3 @@ class Scene:
     def __repr__(self) -> str:
         return (f"<clsplat.Scene {self.name!r}: {len(self.views)} views, "
                 f"{len(self.points):,} points>")
-
-
-def corrected_views(views: Iterable[View], corrections: Mapping[str, Correction]
-                    ) -> tuple[View, ...]:
-    """Views with corrected poses; those of which no correction is known stay as they are.
-
-    Parameters
-    ----------
-    views : with their given poses.
-    corrections : by name, in the unit of the cameras.
-    """
-    return tuple(replace(view, camera=corrections[view.name].applied(view.camera))
-                 if view.name in corrections else view for view in views)

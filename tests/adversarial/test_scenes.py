@@ -16,7 +16,6 @@ from clsplat.errors import InputError
 from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
 from tests.adversarial.test_photos import exif
-from tests.data import layouts
 from tests.data.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, write_scene
 
 
@@ -94,7 +93,7 @@ SCENES = {
                      ("1 of 4", "in its suffix")),
     "photo is a device": (lambda f: ((f / PHOTO).unlink(), (f / PHOTO).symlink_to("/dev/zero")),
                           ("a device",)),
-    "one photo smaller": (lambda f: shrunk(f, "images", 2, [1]), ("rescaled", "--images")),
+    "one photo smaller": (lambda f: shrunk(f, "images", 2, [1]), ("24x18", "--images")),
     "EXIF turned": (lambda f: Image.new("RGB", (HEIGHT, WIDTH)).save(f / PHOTO, exif=exif(6)),
                     ("EXIF orientation 6", "-auto-orient")),
     "cameras is a pipe": (lambda f: [(f / f"sparse/0/{n}").unlink() for n in (
@@ -169,26 +168,3 @@ def test_notes_on_photos(tmp_path):
     alpha, turned = read_scene(folder).notes
     assert alpha.startswith("1 of 4 photos have an alpha channel: transparent pixels are")
     assert turned.startswith("1 of 4 photos have an EXIF orientation")
-
-
-def far_away(**parts):
-    """A frame of transforms.json whose photo or points are a trap."""
-    def make(folder):
-        scene = read_scene(write_scene(folder / "made"))
-        table = layouts.write_transforms(folder, scene)
-        layouts.write_json(folder / "transforms.json", {**table, **parts})
-        return folder
-    return make
-
-
-TRANSFORMS = {
-    "points are a device": (dict(ply_file_path="/dev/zero"), ("/dev/zero", "a device")),
-    "a frame is a number": (dict(frames=[3]), ("frame 0",)),
-    "width of text": (dict(w="wide", h=3), ("w is not a number",)),
-}
-
-
-@pytest.mark.parametrize("case", TRANSFORMS)
-def test_transforms(tmp_path, case):
-    parts, words = TRANSFORMS[case]
-    refused(far_away(**parts)(tmp_path / "town"), *words)

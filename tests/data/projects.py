@@ -4,7 +4,6 @@ Formats are those that `io/scenes/projects/opensfm.py`, `metashape.py` and `opf.
 """
 
 import json
-from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -174,23 +173,3 @@ def write_gltf(path, scene):
         "bufferViews": views,
         "buffers": [{"uri": f"{name}.bin", "byteLength": array.nbytes + 8}
                     for name, array in arrays.items()]}))
-
-
-def assert_same(scene, wanted, places=1e-9, points=1e-9):
-    """Two scenes have the same cameras, lenses and points, in original coordinates."""
-    assert [view.name for view in scene.views] == [view.name for view in wanted.views]
-    for view, other in zip(scene.views, wanted.views):
-        a, b = view.camera, other.camera
-        assert (a.width, a.height) == (b.width, b.height)
-        np.testing.assert_allclose((*a.focal, *a.centre), (*b.focal, *b.centre), atol=places)
-        np.testing.assert_allclose(a.rotation, b.rotation, atol=1e-12)
-        np.testing.assert_allclose(a.position + scene.offset, b.position + wanted.offset,
-                                   atol=places)
-        assert (view.lens is None) == (other.lens is None)
-        if view.lens is not None:
-            assert view.lens.size == other.lens.size
-            assert view.lens.model == other.lens.model
-            np.testing.assert_allclose(view.lens.parameters, other.lens.parameters, atol=places)
-        assert Path(view.source).read_bytes() == Path(other.source).read_bytes()
-    np.testing.assert_allclose(world_points(scene), world_points(wanted), atol=points)
-    assert np.array_equal(scene.colours, wanted.colours)

@@ -83,7 +83,7 @@ def _faults_of_cameras(model: Mapping[str, NDArray[Any]]
     error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     wrong = np.logical_or(error > ROTATION_TOLERANCE, np.linalg.det(rotations) < 0)
     yield wrong, "pose", "is not a rotation"
-    empty = (np.hstack([model["focals"], model["sizes"]]) <= 0).any(axis=1)
+    empty = np.any(np.hstack([model["focals"], model["sizes"]]) <= 0, axis=1)
     yield empty, "camera", "has no size or no focal length"
 
 

@@ -37,15 +37,13 @@ def photo_folder(folder: Path, images: str = "") -> Path:
     """
     numbered = sorted((path for path in folder.glob("images_*") if SMALLER.fullmatch(path.name)
                        and path.is_dir()), key=lambda path: int(path.name.rpartition("_")[2]))
-    if images:
-        if os.path.isdir(folder / images):
-            return folder / images
-        present = [path.name for path in (folder / IMAGES, *numbered) if path.is_dir()]
-        raise InputError(f"--images {images}: {folder} has no such folder; "
-                         f"there is {', '.join(present) or 'none with photos'}")
-    if numbered and not (folder / IMAGES).is_dir():
-        return numbered[0]
-    return folder / IMAGES
+    present = [folder / IMAGES] * (folder / IMAGES).is_dir() + numbered
+    if not images:
+        return present[0] if present else folder / IMAGES
+    if os.path.isdir(folder / images):
+        return folder / images
+    names = ", ".join(path.name for path in present) or "none with photos"
+    raise InputError(f"--images {images}: {folder} has no such folder; there is {names}")
 
 
 def checked_photos(scene: Scene, smaller: Path | None = None) -> Scene:
@@ -66,14 +64,17 @@ def checked_photos(scene: Scene, smaller: Path | None = None) -> Scene:
     for view in scene.views:
         with opened(view.source) as photo:
             photos.append(photo)
-    factor = _factor(scene.views, photos) if smaller else 1.0
     levels = common_levels([view.source for view in scene.views],
                            [photo.is_deep for photo in photos])
     notes = [*scene.notes, *_notes(scene.views, photos), *filter(None, [levels_note(levels)])]
-    if smaller and (smaller.name != IMAGES or factor != 1):
-        size = ("as large as the model's cameras" if factor == 1 else
-                f"{factor:.3g} times smaller than the model's cameras, which are scaled to fit")
-        notes.insert(0, f"photos are those of {smaller.name}/, {size}")
+    factor = 1.0
+    if smaller:
+        factor = float(np.median([_stored_size(view)[0] / photo.width
+                                  for view, photo in zip(scene.views, photos)]))
+        if smaller.name != IMAGES or factor != 1:
+            size = ("as large as the model's cameras" if factor == 1 else
+                    f"{factor:.3g} times smaller than the model's cameras, which are scaled to fit")
+            notes.insert(0, f"photos are those of {smaller.name}/, {size}")
     resized = cache(Lens.resized)  # views share a lens, and with it the map of its pixels
     views = tuple(replace(_fitted(view, photo, factor, resized), levels=each)
                   for view, photo, each in zip(scene.views, photos, levels))
@@ -91,21 +92,6 @@ def _where_else(path: Path) -> str:
         return (f"{alike[0]!a} is there, which differs in letter case, in the form of its "
                 "characters or in its suffix: rename or convert it")
     return "put the photos there, or name their folder with --images"
-
-
-def _factor(views: Sequence[View], photos: Sequence[Photo]) -> float:
-    """How many times smaller than their cameras all photos are."""
-    sizes = [_stored_size(view) for view in views]
-    factor = float(np.median([width / photo.width for (width, _), photo in zip(sizes, photos)]))
-    for (width, height), photo in zip(sizes, photos):
-        if max(abs(width / factor - photo.width),
-               abs(height / factor - photo.height)) > ROUNDING:
-            raise InputError(
-                f"{photo.name}: the photo has {photo.width}x{photo.height} pixels but its camera "
-                f"{width}x{height}, and other photos there are {factor:.3g} times "
-                "smaller than theirs; make all of one folder smaller by one factor")
-    same = all(size == (photo.width, photo.height) for size, photo in zip(sizes, photos))
-    return 1.0 if same else factor
 
 
 def _stored_size(view: View) -> tuple[int, int]:
@@ -142,27 +128,23 @@ def _fitted(view: View, photo: Photo, factor: float,
     # a photo that has its camera's size was reconstructed as it is stored, unless it is square
     turns = QUARTERS.get(photo.orientation, 0) if photo.width != photo.height else 0
     view = replace(view, transparent=photo.has_alpha, quarter_turns=turns if turns % 2 else 0)
-    width, height, camera, size = photo.width, photo.height, view.camera, _stored_size(view)
-    if (width, height) == size:
+    width, height = size = _stored_size(view)
+    if (photo.width, photo.height) == size:
         return view
-    if factor != 1:
+    if factor != 1 and max(abs(width / factor - photo.width),
+                           abs(height / factor - photo.height)) <= ROUNDING:
         if view.lens:
-            lens = resized(view.lens, width / size[0], height / size[1])
-            return replace(view, lens=lens, camera=camera.resized(lens.width, lens.height))
-        return replace(view, camera=camera.resized(width, height))
+            lens = resized(view.lens, photo.width / width, photo.height / height)
+            return replace(view, lens=lens, camera=view.camera.resized(lens.width, lens.height))
+        return replace(view, camera=view.camera.resized(photo.width, photo.height))
+    cure = ("put back the one that was reconstructed; if all are smaller by one factor, name their "
+            "folder with --images")
+    if (photo.height, photo.width) == size and photo.orientation in QUARTER_TURNS:
+        cure = (f"its EXIF orientation {photo.orientation} turns it, and the scene was "
+                "reconstructed from the turned photo: turn the pixels of a copy (`mogrify "
+                "-auto-orient`), and put that in its place")
+    elif factor != 1:
+        cure = f"others there are {factor:.3g} times smaller than theirs; make all so"
     name = view.source if isinstance(view.source, Path) else view.name
-    scale_x, scale_y = width / size[0], height / size[1]
-    # rounding may change the shorter side by up to a pixel
-    if abs(scale_x - scale_y) <= 1.0 / min(size):
-        why = ("it was rescaled: put the original back and use --downscale; where all were, name "
-               "their folder with --images")
-    elif (height, width) == size:
-        why = "it was rotated: put the original back, as it was when the scene was reconstructed"
-        if photo.orientation in QUARTER_TURNS:
-            why = (f"its EXIF orientation {photo.orientation} turns it, and the scene was "
-                   "reconstructed from the turned photo: turn the pixels of a copy (`mogrify "
-                   "-auto-orient`), and put that in its place")
-    else:
-        why = "it is another photo or was cropped: put back the one that was reconstructed"
-    raise InputError(f"{name}: the photo has {width}x{height} pixels but its camera "
-                     f"{size[0]}x{size[1]}; {why}")
+    raise InputError(f"{name}: the photo has {photo.width}x{photo.height} pixels but its "
+                     f"camera {width}x{height}; {cure}")

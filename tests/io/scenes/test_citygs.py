@@ -42,11 +42,6 @@ def test_both_parts_share_one_world(tmp_path, city, photos):
     assert len(train) == 5 and {view.name for view in test} == scene.held_out
     assert scene.split(0) == (scene.views, ())
 
-
-def test_tracks_are_those_of_train(tmp_path, city):
-    write_citygs(tmp_path, city, HELD_OUT)
-    scene = read_scene(tmp_path)
-
     def pairs(scene):
         return {(point, Path(scene.views[view].name).name) for point, view in scene.observations}
 

@@ -76,7 +76,7 @@ def test_rounded_rotations_far_from_the_origin(tmp_path, city):
     for frame in table["frames"]:
         matrix = np.array(frame["transform_matrix"])
         matrix[:3, :3] = matrix[:3, :3].round(6)
-        frame["transform_matrix"] = matrix.tolist()
+        frame["transform_matrix"] = matrix[:3].tolist()
     scene = read_scene(changed(tmp_path, table))
     for view, old in zip(scene.views, far.views):
         np.testing.assert_allclose(view.camera.position + scene.offset,
@@ -194,10 +194,10 @@ def test_masks_that_frames_name(tmp_path, city):
     assert np.array_equal(read_valid(scene.views[0]), valid[..., 0] == 1)
 
 
-def tilted(table):
-    matrix = np.array(table["frames"][0]["transform_matrix"])
-    matrix[:3, :3] *= 1.2
-    return first(transform_matrix=matrix.tolist())(table)
+def posed(change):
+    """The frames, the pose of the first one changed."""
+    return lambda table: first(transform_matrix=change(np.array(
+        table["frames"][0]["transform_matrix"])).tolist())(table)
 
 
 @pytest.mark.parametrize("change, words", [
@@ -210,13 +210,16 @@ def tilted(table):
     ({"fl_x": -3.0}, "no focal length"),
     ({"w": 320.5}, "w is not a number of pixels"),
     ({"ply_file_path": "none.ply"}, "none.ply.*no such file"),
+    ({"ply_file_path": "/dev/zero"}, "/dev/zero.*a device"),
     ({"applied_transform": [[1, 2]]}, "applied_transform is not a 3x4 or 4x4 matrix"),
     (first(file_path=None), "frame 0.*file_path is not valid text"),
     ({"fl_x": 10**400}, "10000000000000000000 is not a finite number"),
     (first(file_path="images/lost.jpg"), "lost.jpg: no such image"),
     (first(file_path="images/004.jpg"), "004.jpg occurs twice"),
     (first(transform_matrix=[["a"] * 4] * 4), "frame 0 is damaged"),
-    (tilted, "000.jpg is not a rotation"),
+    (posed(lambda m: m * (1.2, 1.2, 1.2, 1)), "000.jpg is not a rotation"),
+    (posed(np.transpose), "frame 0 is damaged .*is it transposed"),
+    (posed(lambda m: 2 * m), "not 0 0 0 1"), (posed(lambda m: m[:2]), "3x4 or 4x4"),
 ])
 def test_unusable_scenes(tmp_path, city, change, words):
     table = write_transforms(tmp_path, city)
@@ -278,17 +281,3 @@ def test_each_coefficient_is_used_or_refused(table, frame, model):
         return
     lens = transforms._lens(own, (160, 120), (100.0, 100.0, 80.0, 60.0))
     assert (lens and lens[0]) == model
-
-
-@pytest.mark.parametrize("change, words", [
-    (lambda m: np.transpose(m), "is it transposed"), (lambda m: np.multiply(m, 2), "not 0 0 0 1"),
-    (lambda m: m[:3], ""), (lambda m: m[:2], "3x4 or 4x4")])
-def test_matrices_that_are_no_pose(tmp_path, city, change, words):
-    table = write_transforms(tmp_path, city)
-    matrix = table["frames"][0]["transform_matrix"]
-    folder = changed(tmp_path, table, **first(transform_matrix=np.array(
-        change(np.array(matrix))).tolist())(table))
-    if not words:
-        assert read_scene(folder).views
-        return
-    refused(folder, f"frame 0 is damaged .*{words}")

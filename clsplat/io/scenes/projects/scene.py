@@ -138,7 +138,7 @@ def project_scene(path: Path, files: PhotoFiles, folder: Path, photos: Sequence[
     path : the file that messages name.
     files, folder : where the photos were searched, and that of the project.
     photos, points : in the project's coordinates. Without points: those of points3D.ply in the
-        folder, else sampled where two cameras see.
+        folder, on the map if there is one, else sampled where two cameras see.
     place : on the earth, to which photos and points are moved; or a georeference that they have.
     """
     if not photos:
@@ -149,20 +149,9 @@ def project_scene(path: Path, files: PhotoFiles, folder: Path, photos: Sequence[
     if points is None:
         points = read_cloud(folder, None, np.eye(3, 4))
         if points is not None and place is not None:
-            points = replace(points, positions=_near(photos, points.positions, place))
+            points = replace(points, positions=place.from_map(points.positions))
     return posed_scene(path, folder, photos, points, georeference=place, z_is_up=z_is_up,
                        smaller=files.folder if files.folder.name != IMAGES else None, notes=notes)
-
-
-def _near(photos: Sequence[PosedPhoto], positions: NDArray[np.float64],
-          georeference: Georeference) -> NDArray[np.float64]:
-    """Points of a map in the scene's original coordinates; they may be in these already."""
-    centre = np.median([photo.position for photo in photos], axis=0)
-    shifted = georeference.from_map(positions)
-    with np.errstate(all="ignore"):
-        away = [np.median(np.linalg.norm(places - centre, axis=1))
-                for places in (positions, shifted)]
-    return shifted if away[1] < away[0] else positions
 
 
 def _on_map(path: Path, photos: Sequence[PosedPhoto], points: Cloud | None, place: OnEarth

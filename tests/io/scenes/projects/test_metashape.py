@@ -11,8 +11,8 @@ from clsplat.errors import InputError
 from clsplat.io.scenes.projects.scene import topocentric
 from clsplat.io.scenes.read import read_scene
 from tests.data.formulas import colmap, metashape, rays
-from tests.data.layouts import world_points, write_ply
-from tests.data.projects import assert_same, texts, write_metashape
+from tests.data.layouts import assert_same, world_points, write_ply
+from tests.data.projects import texts, write_metashape
 from tests.data.tiny_model import reconstruction, write_scene
 
 LENS = (40.0, 40.5, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0)

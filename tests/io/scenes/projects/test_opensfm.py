@@ -10,7 +10,8 @@ from clsplat.errors import InputError
 from clsplat.io.scenes.projects.opensfm import _optics
 from clsplat.io.scenes.read import read_scene
 from tests.data.formulas import colmap, opensfm, rays
-from tests.data.projects import assert_same, write_opensfm
+from tests.data.layouts import assert_same
+from tests.data.projects import write_opensfm
 from tests.data.tiny_model import reconstruction, write_scene
 
 LENS = "FULL_OPENCV", (40.0, 40.5, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0)

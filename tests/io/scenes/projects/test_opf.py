@@ -8,7 +8,8 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.io.scenes.projects.opf import rotation_of
 from clsplat.io.scenes.read import read_scene
-from tests.data.projects import assert_same, write_opf
+from tests.data.layouts import assert_same
+from tests.data.projects import write_opf
 from tests.data.tiny_model import reconstruction, write_scene
 
 LENS = (40.0, 40.0, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0)
