@@ -73,9 +73,9 @@ def read_metashape(path: Path, images: str = "") -> Scene:
         photos = [_photo(camera, sensors, to_world, *found) for camera, found in zip(
             used, files.found(camera.get("label", "") for camera in used))]
         definition = (chunks[0].findtext("reference") or "").strip()
-    place = None if not definition or is_local(definition) else OnEarth(
-        IDENTITY, definition, "Metashape")
-    return project_scene(path, files, path.parent, photos, place=place, notes=notes)
+        place = None if not definition or is_local(definition) else OnEarth(
+            IDENTITY, definition, "Metashape")
+        return project_scene(path, files, photos, place=place, notes=notes)
 
 
 def _aligned(chunk: Element) -> tuple[list[Element], tuple[str, ...]]:

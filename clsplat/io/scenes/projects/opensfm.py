@@ -57,8 +57,7 @@ def read_opensfm(path: Path, images: str = "") -> Scene:
     path : of reconstruction.json.
     images : the folder of the photos, relative to the project's folder.
     """
-    folder = path.parent.parent if path.parent.name == ODM else path.parent
-    files = PhotoFiles(folder, images)
+    files = PhotoFiles(path.parent.parent if path.parent.name == ODM else path.parent, images)
     with reading(path, "a reconstruction of OpenSfM", "copy it again"):
         record, notes = _largest(path)
         shots, cameras, points = (table(record.get(key, {}), key)
@@ -68,7 +67,7 @@ def read_opensfm(path: Path, images: str = "") -> Scene:
         cloud = _points(points, path.parent, list(shots))
         reference = _reference(path, record)
         place = reference and OnEarth(topocentric(*reference), "", "OpenSfM")
-    return project_scene(path, files, folder, photos, cloud, place=place, z_is_up=True, notes=notes)
+        return project_scene(path, files, photos, cloud, place=place, z_is_up=True, notes=notes)
 
 
 def _largest(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:

@@ -77,8 +77,8 @@ def read_opf(path: Path, images: str = "") -> Scene:
         points = _points(resources[POINTS]) if POINTS in resources else None
         georeference, notes = _georeference(
             _object(resources, "scene-reference-frame", False), len(photos))
-    return project_scene(path, files, path.parent, photos, points, place=georeference,
-                         z_is_up=True, notes=notes)
+        return project_scene(path, files, photos, points, place=georeference, z_is_up=True,
+                             notes=notes)
 
 
 def _resources(path: Path) -> dict[str, Path]:

@@ -38,6 +38,7 @@ class PhotoFiles:
 
     Attributes
     ----------
+    project : the folder of the project.
     folder : of the photos: the one given as --images, else images/ of the project, else the
         project's own folder.
     """
@@ -45,7 +46,7 @@ class PhotoFiles:
     def __init__(self, project: Path, images: str = "") -> None:
         folder = photo_folder(project, images)
         self.folder = folder if images or folder.is_dir() else project
-        self._project, self._given = project, bool(images)
+        self.project, self._given = project, bool(images)
 
     def found(self, names: Iterable[object], base: Path | None = None) -> list[tuple[str, Path]]:
         """Find photos as `find` does; InputError if some are missing."""
@@ -80,7 +81,7 @@ class PhotoFiles:
             raise ValueError(f"{name[:80]!r} is not the name of a photo")
         places = [self.folder.joinpath(*parts[number:]) for number in range(len(parts))]
         if not self._given:  # a folder that the user gives holds all photos
-            places.append((base or self._project) / name.removeprefix(SCHEME))
+            places.append((base or self.project) / name.removeprefix(SCHEME))
         path = (next(filter(os.path.isfile, places), None) or self._below(parts)
                 or self.folder / parts[-1])
         # what is named ../other/a.jpg is not below the folder
@@ -128,7 +129,7 @@ class OnEarth(NamedTuple):
     program: str
 
 
-def project_scene(path: Path, files: PhotoFiles, folder: Path, photos: Sequence[PosedPhoto],
+def project_scene(path: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
                   points: Cloud | None = None, *, place: OnEarth | Georeference | None = None,
                   z_is_up: bool = False, notes: Sequence[str] = ()) -> Scene:
     """Build the scene of a project and recentre it; see `posed_scene`.
@@ -136,7 +137,7 @@ def project_scene(path: Path, files: PhotoFiles, folder: Path, photos: Sequence[
     Parameters
     ----------
     path : the file that messages name.
-    files, folder : where the photos were searched, and that of the project.
+    files : where the photos were searched.
     photos, points : in the project's coordinates. Without points: those of points3D.ply in the
         folder, on the map if there is one, else sampled where two cameras see.
     place : on the earth, to which photos and points are moved; or a georeference that they have.
@@ -145,31 +146,20 @@ def project_scene(path: Path, files: PhotoFiles, folder: Path, photos: Sequence[
         raise InputError(f"{path}: no photo of the project has a pose; align the photos first, "
                          "and export again")
     if isinstance(place, OnEarth):
-        photos, points, place = _on_map(path, photos, points, place)
+        similarity, place = on_map(
+            place.to_earth, np.array([photo.position for photo in photos]),
+            project_crs(place.definition, north_first=True),
+            f"{place.program}'s alignment of {len(photos)} photos")
+        photos = [replace(photo, rotation=photo.rotation @ similarity.rotation.T,
+                          position=similarity(photo.position)) for photo in photos]
+        if points is not None:
+            points = replace(points, positions=similarity(points.positions))
     if points is None:
-        points = read_cloud(folder, None, np.eye(3, 4))
+        points = read_cloud(files.project, None, np.eye(3, 4))
         if points is not None and place is not None:
             points = replace(points, positions=place.from_map(points.positions))
-    return posed_scene(path, folder, photos, points, georeference=place, z_is_up=z_is_up,
+    return posed_scene(path, files.project, photos, points, georeference=place, z_is_up=z_is_up,
                        smaller=files.folder if files.folder.name != IMAGES else None, notes=notes)
-
-
-def _on_map(path: Path, photos: Sequence[PosedPhoto], points: Cloud | None, place: OnEarth
-            ) -> tuple[Sequence[PosedPhoto], Cloud | None, Georeference]:
-    """Photos and points in metres, east, north and up, and the georeference."""
-    centres = np.array([photo.position for photo in photos])
-    try:
-        similarity, georeference = on_map(
-            place.to_earth, centres, project_crs(place.definition, north_first=True),
-            f"{place.program}'s alignment of {len(photos)} photos")
-    except ValueError as error:
-        raise InputError(f"{path}: cannot be placed on the earth ({reason(error)}); export it "
-                         "again, or without a coordinate system") from None
-    placed = [replace(photo, rotation=photo.rotation @ similarity.rotation.T, position=centre)
-              for photo, centre in zip(photos, similarity(centres))]
-    if points is not None:
-        points = replace(points, positions=similarity(points.positions))
-    return placed, points, georeference
 
 
 def topocentric(latitude: float, longitude: float, height: float) -> Similarity:
