@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import MOST_CHARACTERS, InputError, reason
+from clsplat.errors import MOST_CHARACTERS, InputError
 from clsplat.georeference import Georeference
 from clsplat.io.fields import CONTROL
 from clsplat.io.georeference.crs import (
