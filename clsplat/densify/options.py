@@ -40,5 +40,3 @@ class GrowthOptions:
                                  minimum=0.0, part="spheres", flag=False, measured=True)
     sphere_shrink: float = option(0.7, "Spheres", "radius of the children of a split, as a share "
                                   "of their parent's", minimum=0.0, part="spheres", flag=False)
-    sphere_columns: bool = option(False, "Spheres", "also write anchors and radii to the PLY",
-                                  part="spheres", flag=False)

@@ -23,10 +23,8 @@ from clsplat.rendering.project import Gradients
 
 
 class NumpyAdam:
-    """Adam with its moments (`m`, `v`) in host memory; a step copies gradients and parameters only.
-
-    Where it is `dense`, rows that a view does not see are updated, too, in the same step.
-    """
+    """Adam with its moments (`m`, `v`) in host memory; a step copies gradients and parameters only,
+    and moves rows that the view does not see, too."""
 
     RECORDS = False  # whether a step can be recorded: this one waits for the device
 
@@ -35,8 +33,8 @@ class NumpyAdam:
         """As `DeviceAdam.arrays`: none on the device."""
         return {}, {}, {}
 
-    def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False) -> None:
-        self.device, self.dense, self.steps = device, dense, 0
+    def __init__(self, device: Device, rows: Mapping[str, Array]) -> None:
+        self.device, self.steps = device, 0
         self.m, self.v = (
             {name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
             for _ in range(2))
@@ -57,19 +55,15 @@ class NumpyAdam:
 
     def apply(self, rows: Mapping[str, Array], gradients: Gradients, numbers: Mapping[str, float],
               used: Mapping[str, int], frozen: Array | None = None) -> None:
-        """As `DeviceAdam.apply`, but waits, and moves all rows where the engine is dense; `frozen`,
-        uint[N], is not 0 for rows that keep parameters and moments."""
+        """As `DeviceAdam.apply`, but waits, and moves all rows whose `frozen` is 0."""
         seen = gradients.rows.download()
         usable = seen != NO_ROW
-        moved = seen[usable]
-        if self.dense:
-            stays = np.zeros(len(rows["positions"]), bool) if frozen is None else (
-                frozen.download() > 0)
-            stays[gradients.visible.download()[~usable]] = True
-            moved = np.flatnonzero(~stays)
+        stays = np.zeros(len(rows["positions"]), bool) if frozen is None else frozen.download() > 0
+        stays[gradients.visible.download()[~usable]] = True
+        moved = ~stays
         for field in LEARNED:
             name, columns = field.name, slice(0, used[field.name])
-            if not used[name] or not len(moved):
+            if not used[name] or not moved.any():
                 continue
             values = rows[name].download()
             gradient = np.zeros_like(values)
@@ -120,7 +114,7 @@ class NumpyAdam:
 
     def load_lag(self, arrays: Mapping[str, NDArray[Any]], step: int) -> None:
         """As `DeviceAdam.load_lag`; InputError where a row lags."""
-        if self.dense and (arrays["last_step"] != step).any():
+        if (arrays["last_step"] != step).any():
             raise InputError("the checkpoint was written with Adam's moments on the device, and "
                              "not all rows are up to date: go on with engine = 'device'")
         self.steps = step

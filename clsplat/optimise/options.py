@@ -20,9 +20,6 @@ class OptimiseOptions:
     batch: int = option(1, "Optimisation", "photos in each step; their mean gradient moves the "
                         "gaussians once, and a step takes as many times longer", minimum=1,
                         most=1024, measured=True)
-    optimizer: str = option("dense", "Optimisation", "dense: Adam updates every gaussian at each "
-                            "step; sparse: only those that the view sees",
-                            choices=("dense", "sparse"), flag=False)
     engine: str = option("auto", "Optimisation", "where Adam's moments are kept: device, or numpy "
                          "in host memory; auto: on the device where they fit",
                          choices=("auto", "device", "numpy"), flag=False)

@@ -360,7 +360,7 @@ class Training:
         comments = (*start_comment(str(run.read_options().get(START, ""))),
                     f"iterations {session.iteration}", mode_comment(session.options.antialiased),
                     *placement_comments(session.scene.up, session.scene.georeference))
-        run.save_model(gaussians, session.scene.offset, comments, session.options.sphere_columns)
+        run.save_model(gaussians, session.scene.offset, comments)
 
     def _draw_report(self) -> None:
         """Write the report. Failure is only a warning: the model is complete."""

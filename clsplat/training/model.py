@@ -24,13 +24,11 @@ ENGINES: dict[str, type[Adam]] = {"device": DeviceAdam, "numpy": NumpyAdam}
 class Model:
     """Rows of gaussians on the device, and an Adam engine whose moments follow them.
 
-    The moments are kept by `engine` "device" or "numpy"; "auto": on the device if they fit now. A
-    `dense` Adam updates all rows, not only those that a view saw. `layout` is another object after
-    each change of the arrays or of the number of gaussians.
+    The moments are kept by `engine` "device" or "numpy"; "auto": on the device if they fit now.
+    `layout` is another object after each change of the arrays or of the number of gaussians.
     """
 
-    def __init__(self, device: Device, gaussians: Gaussians, engine: str = "auto",
-                 dense: bool = False) -> None:
+    def __init__(self, device: Device, gaussians: Gaussians, engine: str = "auto") -> None:
         self.device, self.sh_degree = device, gaussians.sh_degree
         self.frozen: Array | None = None  # uint[count], not 0 for those that are not trained
         self.count, self.layout = gaussians.count, object()
@@ -40,7 +38,7 @@ class Model:
             fits = needed < DEVICE_SHARE * device.handle.global_mem_size
             engine = "device" if fits else "numpy"
         self.adam: Adam = ENGINES[engine](
-            device, {field.name: self._arrays[field.name] for field in LEARNED}, dense)
+            device, {field.name: self._arrays[field.name] for field in LEARNED})
 
     @staticmethod
     def arrays(names: Iterable[str], sh_degree: int, count: int) -> dict[str, ArraySpec]:

@@ -62,7 +62,7 @@ class Session:
         self.parts = parts_of(prepared)
         for part in self.parts:
             part.begin(self)
-        model = Model(device, gaussians, options.engine, options.optimizer == "dense")
+        model = Model(device, gaussians, options.engine)
         self.step = Step(self.renderer, model, self.scene.extent, options, self.parts)
         self._epoch = -1, np.zeros(0, np.int64)  # the latest one, and the order of its views
         self.use_level(self.photos.level)

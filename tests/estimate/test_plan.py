@@ -128,7 +128,7 @@ PARTS = [{"poses": "on"},
          {"exposure": "on", "vignetting": "on", "reproject": "on",
           "robust": "on"},
          {"batch": 3},
-         {"optimizer": "sparse", "sh_degree": 1, "engine": "numpy"}]
+         {"sh_degree": 1, "engine": "numpy"}]
 
 
 @pytest.mark.parametrize("options", PARTS, ids=str)

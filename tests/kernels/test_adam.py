@@ -21,7 +21,6 @@ DEGREE = 3  # rows of 45 SH coefficients: more than the item form processes at a
 RATES = {field.name: field.rate for field in LEARNED}
 WIDTHS = {field.name: field.width(DEGREE) for field in LEARNED}
 ENGINES = pytest.mark.parametrize("engine", [DeviceAdam, NumpyAdam])
-DENSE = pytest.mark.parametrize("dense", [False, True], ids=["sparse", "dense"])
 
 
 def random_rows(count, rng):
@@ -39,18 +38,18 @@ def take_step(engine, rows, gradients, step, rates, used, frozen=None):
 class Run:
     """Parameters, an engine, and the same by the reference."""
 
-    def __init__(self, device, engine, count, dense=False, seed=0):
-        self.device, self.dense, self.rng = device, dense, np.random.default_rng(seed)
+    def __init__(self, device, engine, count, seed=0):
+        self.device, self.rng = device, np.random.default_rng(seed)
         self.expected = random_rows(count, self.rng)
         self.first = {name: np.zeros(v.shape) for name, v in self.expected.items()}
         self.second = {name: np.zeros(v.shape) for name, v in self.expected.items()}
         self.rows = {name: device.upload(values) for name, values in self.expected.items()}
-        self.engine = engine(device, self.rows, dense)
+        self.engine = engine(device, self.rows)
         self.count, self.steps, self.frozen = count, 0, None
 
     def step(self, seen, used=WIDTHS, scale=1.0, frozen=None):
         """One step on gradients of `seen` random rows; every fifth row's is marked as not finite:
-        its parameters and moments stay, in a dense engine as well. So do those of `frozen` bool[N].
+        its parameters and moments stay. So do those of `frozen` bool[N].
         """
         self.steps += 1
         rows = self.rng.permutation(self.count)[:seen].astype(np.uint32)
@@ -58,7 +57,7 @@ class Run:
         for name, values in fields.items():
             spread = np.zeros_like(self.expected[name])
             spread[rows] = values.astype(self.device.real)
-            changed = np.setdiff1d(np.arange(self.count) if self.dense else rows, rows[::5])
+            changed = np.setdiff1d(np.arange(self.count), rows[::5])
             changed = changed if frozen is None else changed[~frozen[changed]]
             columns = slice(0, used[name])
             flat = [a.reshape(self.count, -1)[:, columns] for a in (
@@ -92,10 +91,9 @@ class Run:
 
 
 @ENGINES
-@DENSE
 @pytest.mark.one_in(3)
-def test_steps_on_varying_rows(device, engine, dense):
-    run = Run(device, engine, 40, dense)
+def test_steps_on_varying_rows(device, engine):
+    run = Run(device, engine, 40)
     for seen in (40, 25, 1, 0, 33):
         run.step(seen)
     run.check()
@@ -103,10 +101,9 @@ def test_steps_on_varying_rows(device, engine, dense):
 
 @pytest.mark.oclgrind
 @ENGINES
-@DENSE
-def test_frozen_rows_stay_though_they_have_moments(device, engine, dense):
+def test_frozen_rows_stay_though_they_have_moments(device, engine):
     """Seen or not; what has been trained may come to be frozen."""
-    run = Run(device, engine, 40, dense)
+    run = Run(device, engine, 40)
     run.step(40)
     before = run.rows["positions"].download()
     frozen = np.arange(40) % 3 == 0
@@ -118,23 +115,21 @@ def test_frozen_rows_stay_though_they_have_moments(device, engine, dense):
 
 
 @pytest.mark.oclgrind
-@DENSE
-def test_counts_around_the_group_size(device, dense):
+def test_counts_around_the_group_size(device):
     """Of the device engine; a field of width 1 has as many elements as rows."""
     group = device.group_size
     for count in (1, group // STEP_SPREAD + 1, group - 1, group, group + 1):
-        run = Run(device, DeviceAdam, count, dense, seed=count)
+        run = Run(device, DeviceAdam, count, seed=count)
         run.step(count)
         run.step(count)
         run.check(f"{count} rows")
 
 
 @ENGINES
-@DENSE
 @pytest.mark.parametrize("degree", [0, 1, 2])
 @pytest.mark.one_in(5)
-def test_harmonics_that_are_not_active_stay(device, engine, dense, degree):
-    run = Run(device, engine, 20, dense)
+def test_harmonics_that_are_not_active_stay(device, engine, degree):
+    run = Run(device, engine, 20)
     before = run.rows["sh_rest"].download()
     run.step(15, {**WIDTHS, "sh_rest": 3 * degree * (degree + 2)})
     run.check()

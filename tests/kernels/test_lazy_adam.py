@@ -43,7 +43,7 @@ class Lazy:
             {name: np.zeros(v.shape) for name, v in rows.items()} for _ in range(3))
         self.device, self.count, self.steps, self.frozen = device, count, 0, None
         self.rows = {name: device.upload(values) for name, values in self.expected.items()}
-        self.engine = DeviceAdam(device, self.rows, True)
+        self.engine = DeviceAdam(device, self.rows)
 
     def camera(self):
         """One that looks anywhere from the middle, at a sixth of the sphere."""
@@ -162,7 +162,7 @@ def test_rows_that_will_be_seen_catch_up_however_far_they_coast(float_device, by
     rows["log_scales"] = np.repeat(rng.uniform(-5, 0, (count, 1)), 3, axis=1)
     rows["opacity_logits"] += 9  # a large footprint
     rows = {name: float_device.upload(values) for name, values in rows.items()}
-    engine = DeviceAdam(float_device, rows, True)
+    engine = DeviceAdam(float_device, rows)
     roots = {field.name: np.ones((count, *field.row_shape(DEGREE))) for field in LEARNED}
     engine.upload({name: 7.2 * rng.choice((-1, 1), values.shape) for name, values in roots.items()},
                   roots)

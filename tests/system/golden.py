@@ -63,7 +63,7 @@ def forward(rows, seen_by, degree):
 
 
 def losses():
-    """The loss before each of STEPS steps; views in turn, Adam on the rows seen."""
+    """The loss before each of STEPS steps; views in turn."""
     rows, cameras, photos = scene()
     moments = {name: (np.zeros(values.shape),) * 2 for name, values in rows.items()}
     found = []
@@ -78,8 +78,7 @@ def losses():
         for name, rate in RATES.items():
             if name == "positions":
                 rate *= EXTENT * 0.01 ** ((step - 1) / STEPS)
-            rows[name], *moments[name] = adam(rows[name], grads[name], *moments[name], step, rate,
-                                              splats["visible"])
+            rows[name], *moments[name] = adam(rows[name], grads[name], *moments[name], step, rate)
     return found
 
 

@@ -98,7 +98,7 @@ def test_crashed_and_resumed(item_device, city, tmp_path, whole, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{"engine": "numpy"}, {"optimizer": "sparse"},
+@pytest.mark.parametrize("options", [{"engine": "numpy"},
                                      {"antialiased": True, "init": "random"},
                                      {"poses": "on"}], ids=str)
 def test_other_ways_to_train_resume_as_well(item_device, city, tmp_path, options):

@@ -78,9 +78,8 @@ def test_a_step_of_every_schedule(float_device, city, tmp_path, counted, schedul
 def test_corrected_poses(float_device, city, tmp_path, counted):
     """The corrected camera, the sums of the gradient and the step of the pose."""
     launches = of_a_replay(counted(float_device, city, tmp_path, schedule="constant", poses="on",
-                                   exposure="off", vignetting="off",
-                                   optimizer="sparse"))
-    assert launches == (17 if float_device.form == "item" else 13) + 3
+                                   exposure="off", vignetting="off"))
+    assert launches == (18 if float_device.form == "item" else 14) + 3
 
 
 @pytest.mark.slow
@@ -93,8 +92,7 @@ def test_a_step_with_reprojection(float_device, city, tmp_path, counted):
 
 
 def test_without_what_is_optional(float_device, city, tmp_path, counted):
-    """Neither exposures nor lazy rows that catch up."""
+    """No exposures."""
     launches = of_a_replay(counted(float_device, city, tmp_path, schedule="constant",
-                                   exposure="off", vignetting="off",
-                                   optimizer="sparse"))
-    assert launches == (17 if float_device.form == "item" else 13)
+                                   exposure="off", vignetting="off"))
+    assert launches == (18 if float_device.form == "item" else 14)

@@ -90,8 +90,7 @@ def test_limit_opacity(float_device, engine):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("optimizer", ["sparse", "dense"])
-def test_engines_agree_over_five_steps(double_device, optimizer):
+def test_engines_agree_over_five_steps(double_device):
     """On the gradients of a render, with rates that change; in double, where Adam's division by a
     gradient of almost nothing does not turn rounding into a step."""
     device = double_device
@@ -104,7 +103,7 @@ def test_engines_agree_over_five_steps(double_device, optimizer):
         given = Gaussians({k: v.astype(np.float32) for k, v in case["rows"].items()}, DEGREE)
         spheres = gaussians_of(given.count, fields=FIELDS).rows
         given.rows.update({field.name: spheres[field.name] for field in SPHERE})
-        model = Model(device, given, engine, optimizer == "dense")
+        model = Model(device, given, engine)
         step = Step(renderer, model, 1.0, TrainOptions(iterations=100), [ImageTerm()])
         for iteration in range(1, 6):
             plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False,
@@ -134,7 +133,7 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
     renderer = Renderer(device, DEGREE, case["near"])
     count = len(case["rows"]["positions"])
     model = Model(device, Gaussians({k: v.astype(np.float32) for k, v in case["rows"].items()},
-                                    DEGREE), engine, dense=True)
+                                    DEGREE), engine)
     moments = gaussians_of(count).rows
     model.adam.upload(moments, {name: values**2 for name, values in moments.items()})
     responses = PhotoResponses()
@@ -184,7 +183,7 @@ def test_what_is_held_stays_though_it_has_moments(float_device, engine):
     count = len(case["rows"]["positions"])
     rows = {name: values.astype(np.float32) for name, values in case["rows"].items()}
     rows["opacity_logits"][:2] = -30  # too faint to be seen
-    model = Model(device, Gaussians(rows, DEGREE), engine, dense=True)
+    model = Model(device, Gaussians(rows, DEGREE), engine)
     moments = gaussians_of(count).rows
     model.adam.upload(moments, {name: values**2 for name, values in moments.items()})
     frozen = np.arange(count) % 2 == 0
@@ -214,7 +213,7 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
     renderer = Renderer(device, DEGREE, case["near"])
     count = len(case["rows"]["positions"])
     model = Model(device, Gaussians({k: v.astype(np.float32) for k, v in case["rows"].items()},
-                                    DEGREE), engine, dense=True)
+                                    DEGREE), engine)
     step = Step(renderer, model, 1.0, TrainOptions(iterations=100, batch=4), [ImageTerm()])
     taken, found, adjoint = [], [], renderer.adjoint
 

@@ -94,7 +94,7 @@ def time_family(family: str, bench: Bench) -> None:
 def adam(city: CityFrame) -> Cases:
     """A step, and how rows that a view sees catch up with 20 steps that they missed."""
     gradients, counts = city.gradients(), new_counts(city.device)
-    engine, lazy = (DeviceAdam(city.device, city.rows, dense) for dense in (False, True))
+    engine, lazy = (DeviceAdam(city.device, city.rows) for _ in range(2))
     # sums by which rows catch up, not zero
     sums = np.full((CATCH_UP_EVERY, LAZY_TERMS), 1e-9)
     lazy.load_lag({**lazy.lag(), "coefficients": sums}, 0)
@@ -104,7 +104,7 @@ def adam(city: CityFrame) -> Cases:
         lazy.catch_up_seen(city.rows, lazy.numbers(lazy.steps + 1, RATES), 3, None, city.camera,
                            counts)
 
-    return {"step": partial(engine.step, city.rows, gradients, 1, RATES, USED),
+    return {"step": partial(engine.apply, city.rows, gradients, engine.numbers(1, RATES), USED),
             "catch up": catch_up}
 
 

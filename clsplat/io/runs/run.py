@@ -246,10 +246,10 @@ class RunFolder:
         """Load the responses of views by name, or None if the run learned none."""
         return read_exposures(self.path / EXPOSURES)
 
-    def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = (),
-                   sphere: bool = False) -> None:
+    def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = ()
+                   ) -> None:
         """Replace the finished model; see `ply.write_ply`."""
-        write_ply(self.path / MODEL, gaussians, offset, comments, sphere)
+        write_ply(self.path / MODEL, gaussians, offset, comments)
 
     @property
     def model_path(self) -> Path:
