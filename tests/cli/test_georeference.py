@@ -8,7 +8,6 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.io.scenes.read import read_scene
-from clsplat.io.scenes.write import write_scene
 from tests.data.survey import CRS, Survey
 from tests.io.shared_cases import CASES, needs_cases
 
@@ -27,12 +26,14 @@ def control_points(survey, path):
 
 
 def test_ground_control_points_place_a_scene(tmp_path):
-    survey = Survey(tmp_path / "scene")
-    control_points(survey, tmp_path / "gcp.txt")
-    code, said = georeference(tmp_path / "scene", "-o", tmp_path / "out", "--gcp",
-                              tmp_path / "gcp.txt")
-    assert code == 0 and "georeferenced by 5 ground control points: residual 0.0" in said
-    assert f"out: {CRS}, origin at east 5876" in said
+    control_points(Survey(tmp_path / "scene"), tmp_path / "gcp.txt")
+    words = tmp_path / "scene", "-o", tmp_path / "out", "--gcp", tmp_path / "gcp.txt"
+    name = (tmp_path / "gcp.txt").read_text().split()[-1]
+    for out, used, options in (("out", 5, ()), ("other", 4, ("--check-point", name))):
+        code, said = georeference(*words[:2], tmp_path / out, *words[3:], *options)
+        assert code == 0 and f"by {used} ground control points: residual 0.0" in said
+        assert f"{out}: {CRS}, origin at east 5876" in said
+        assert ("1 check points, which took no part: residual 0.0" in said) == bool(options)
     assert (tmp_path / "out" / "sparse" / "0" / "images.bin").is_file()
 
 
@@ -69,36 +70,6 @@ def test_cases_of_public_reports(tmp_path, name, words, east, north, height):
     if east:
         known = read_scene(tmp_path / "out").georeference
         assert np.abs(np.subtract(known.offset, (east, north, height))).max() <= 2
-
-
-def marks_of(scene, at):
-    """A file of eight points of a scene, whose origin is at a place of UTM zone 32."""
-    views, rows = scene.views, ["EPSG:32632"]
-    pixels, depths = zip(*(view.camera.project(scene.points) for view in views))
-    camera = views[0].camera
-    seen = (np.array(depths) > 0) & (np.array(pixels) > 5).all(axis=2) & (
-        np.array(pixels) < (camera.width - 5, camera.height - 5)).all(axis=2)
-    for index in np.argsort(-seen.sum(axis=0), kind="stable")[:60:8]:
-        place = scene.unit * scene.points[index] + scene.offset + at
-        rows += [" ".join(map(str, (*place, *pixels[number][index], view.name, f"P{index}")))
-                 for number, view in enumerate(views) if seen[number, index]]
-    return "\n".join(rows)
-
-
-@needs_cases
-@pytest.mark.slow
-@pytest.mark.parametrize("option, words, place", [
-    ("--photos", "the GPS of 6 photos: residual 0.00 m along the ground, 0.0", (326915, 4685138)),
-    ("--gcp", "8 ground control points: residual 0.000 m along the ground, 0.0", (5e5, 52e5))])
-def test_tracks_without_observations_are_placed(tmp_path, option, words, place):
-    path = tmp_path / "scene"
-    write_scene(path, read_scene(CASES / "tracks_without_observations"))  # as `clsplat pack`
-    (tmp_path / "gcp.txt").write_text(marks_of(read_scene(path), (5e5, 52e5, 0)))
-    file = {"--gcp": tmp_path / "gcp.txt", "--photos": CASES / "exif_gps_whole_seconds" / "images"}
-    code, said = georeference(path, "-o", tmp_path / "out", option, file[option])
-    assert code == 0 and words in said
-    known = read_scene(tmp_path / "out").georeference
-    assert np.abs(np.subtract(known.offset[:2], place)).max() <= 20
 
 
 def lines_of(survey, change, crs=CRS, marks=None):
@@ -146,13 +117,3 @@ def test_control_points_with_gross_errors(tmp_path, name, change, crs, kind, wor
         record = json.loads((tmp_path / "out" / "georeference.json").read_text())
         assert record["control_count"] == 7 and words in record["vertical"]
         assert record["control_errors"]["up"]["rms"] < 0.1
-
-
-def test_check_points_are_reported(tmp_path):
-    survey = Survey(tmp_path / "scene")
-    control_points(survey, tmp_path / "gcp.txt")
-    name = (tmp_path / "gcp.txt").read_text().split()[-1]
-    code, said = georeference(tmp_path / "scene", "-o", tmp_path / "out", "--gcp",
-                              tmp_path / "gcp.txt", "--check-point", name)
-    assert code == 0 and "georeferenced by 4 ground control points" in said
-    assert "1 check points, which took no part: residual 0.0" in said

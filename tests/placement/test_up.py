@@ -16,31 +16,6 @@ def test_up_does_not_depend_on_points_far_away():
     assert Vertical.by_cameras(rolled, points).up[2] > 0.999
 
 
-def looking(directions, ups):
-    """Rotations [V, 3, 3] of cameras that look in directions with the tops of images near ups."""
-    forward = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    right = np.cross(forward, ups)
-    right /= np.linalg.norm(right, axis=1, keepdims=True)
-    return np.stack([right, np.cross(forward, right), forward], axis=1)
-
-
-def street(seed, count=40):
-    """Rotations of cameras that look around, somewhat downwards, with the horizon level to a
-    degree."""
-    rng = np.random.default_rng(seed)
-    angle = rng.uniform(-1.2, 1.2, count)
-    directions = np.stack([np.cos(angle), np.sin(angle), rng.normal(-0.4, 0.05, count)], axis=1)
-    return looking(directions, [0, 0, 1] + rng.normal(0, 0.02, (count, 3)))
-
-
-def test_up_turns_with_the_scene():
-    turn = Rotation.random(random_state=3).as_matrix()
-    scene = field()
-    rotations, points = street(1), scene.points
-    assert np.allclose(Vertical.by_cameras(rotations @ turn.T, points @ turn.T).up,
-                       turn @ Vertical.by_cameras(rotations, points).up, atol=1e-6)
-
-
 @pytest.mark.parametrize("pitch, roll", [(-90, 0), (-60, 0), (0, 0), (-45, 20), (10, -5)])
 def test_gimbals_tell_gravity(pitch, roll):
     """A gimbal turns about the vertical, then its pitch axis, then its viewing direction."""

@@ -12,7 +12,6 @@ from clsplat.io.georeference.crs import (
     on_ground,
     project_crs,
     scene_crs,
-    utm_zone,
 )
 
 
@@ -48,11 +47,10 @@ def test_what_cannot_be_converted():
         conversion("OGC:CRS84", "EPSG:32633", "--polygon")(np.array([[1000.0, 2000.0]]))
 
 
-HERE, THERE = (30.17115, -98.08987), (-33.9, 18.4)
-
-
 @pytest.mark.parametrize("place, crs, east, north", [
-    (HERE, "EPSG:32614", 587630.75, 3338100.22), (THERE, "EPSG:32734", 259583.2, 6245888.0)])
+    ((30.17115, -98.08987), "EPSG:32614", 587630.75, 3338100.22),
+    ((-33.9, 18.4), "EPSG:32734", 259583.2, 6245888.0),
+    ((0.0, 180.0), "EPSG:32601", 166021.44, 0)])
 def test_the_utm_zone_of_a_place(place, crs, east, north):
     positions, zone = map_positions([place], [7.5])
     assert zone == crs and positions[0] == pytest.approx((east, north, 7.5), abs=0.1)
@@ -64,13 +62,6 @@ def test_places_that_are_not_on_the_earth():
     places, crs = map_positions([[52.4, 16.9], [95.0, 16.9]], [80.0, 80.0])
     assert crs == "EPSG:32633" and np.isfinite(places[0]).all() and np.isnan(places[1]).all()
     assert np.isnan(map_positions([[5e6, 5e5]], [0.0])[0]).all()
-
-
-@pytest.mark.parametrize("latitude, longitude, zone", [
-    (52.4, 16.9, "EPSG:32633"), (-33.9, 151.2, "EPSG:32756"), (10.0, -179.99, "EPSG:32601"),
-    (0.0, 180.0, "EPSG:32601")])
-def test_zones(latitude, longitude, zone):
-    assert utm_zone(longitude, latitude) == zone
 
 
 @pytest.mark.parametrize("definition, crs", [

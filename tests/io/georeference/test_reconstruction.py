@@ -133,3 +133,11 @@ def test_marks_in_the_pixels_of_larger_photos_are_refused(survey):
               for point in control(survey, best_seen(survey, 5))]
     with pytest.raises(InputError, match="in the pixels of the photos that were reconstructed"):
         place_reconstruction(survey.reconstruction(), {}, ControlPoints(tuple(points), CRS))
+
+
+def test_control_points_far_from_the_photos_own_gps_are_refused(survey):
+    metadata = {name: replace(known, latitude=known.latitude + 0.1)
+                for name, known in survey.metadata().items()}
+    points = ControlPoints(tuple(control(survey, best_seen(survey, 5))), CRS)
+    with pytest.raises(InputError, match="place the photos 11 km from their GPS: is it the right"):
+        place_reconstruction(survey.reconstruction(), metadata, points)

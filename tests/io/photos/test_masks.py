@@ -8,7 +8,6 @@ from PIL import Image
 
 from clsplat.errors import InputError
 from clsplat.io.photos.images import write_image
-from clsplat.io.photos.masks import photo_of
 from clsplat.io.photos.views import read_valid
 from clsplat.io.scenes.read import read_scene
 from clsplat.sfm.photos import find_photos
@@ -130,10 +129,3 @@ def test_a_folder_beside_the_photos_without_any_of_their_masks(folder):
     for read in (find_photos, read_scene):
         with pytest.raises(InputError, match="mask: has (no mask for any photo|a mask for none)"):
             read(folder)
-
-
-@pytest.mark.parametrize("name, photo", [
-    ("a_mask.JPG", "a"), ("a.JPG.mask.png", "a.JPG"), ("a.mask.tif", "a"), ("x/a_mask.png", "a"),
-    ("a.jpg", ""), ("_mask.png", ""), ("a_mask.txt", ""), ("a_masks.png", "")])
-def test_names_of_masks(name, photo):
-    assert photo_of(name) == photo
