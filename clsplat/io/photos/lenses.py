@@ -112,20 +112,17 @@ def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
 def _observations(model: Mapping[str, NDArray[Any]], photos: NDArray[np.int64],
                   known: NDArray[Any]) -> NDArray[np.int32]:
     """int32[M, 2], rows (point, view), from rows (point, photo): each in the views that show it."""
-    point, photo = known.T
-    order = np.argsort(photo, kind="stable")
-    ends = np.searchsorted(photo[order], np.arange(photos.max() + 2))
-    views_of = np.bincount(photos)
-    found = []
-    for view, index in enumerate(photos):
-        points = point[order[ends[index]:ends[index + 1]]]
-        if views_of[index] > 1:
+    order = np.argsort(known[:, 1], kind="stable")
+    points_of = np.split(known[order, 0], np.searchsorted(known[order, 1],
+                                                          np.arange(1, photos.max() + 1)))
+    views_of, found = np.bincount(photos), []
+    for view, photo in enumerate(photos):
+        points = points_of[photo]
+        if views_of[photo] > 1:
             seen = model["points"][points] @ model["rotations"][view].T + model[
                 "translations"][view]
-            with np.errstate(all="ignore"):
-                pixels = seen[:, :2] / seen[:, 2:] * model["focals"][view] + model["centres"][view]
-            points = points[(seen[:, 2] > 0) & (pixels >= 0).all(axis=1)
-                            & (pixels < model["sizes"][view]).all(axis=1)]
+            pixels = _tangents(seen) * model["focals"][view] + model["centres"][view]
+            points = points[((pixels >= 0) & (pixels < model["sizes"][view])).all(axis=1)]
         found.append(np.stack([points, np.full(len(points), view)], axis=1))
     return np.concatenate(found).astype(np.int32)
 

@@ -52,11 +52,12 @@ class Photo:
         self.width: int = spec.width
         self.height: int = spec.height
         self.orientation: int = spec.get_int_attribute("Orientation", 1)
-        self._channels = _colour_channels(spec, kind, name)
-        self.has_alpha: bool = spec.alpha_channel >= 0 and kind != "gif"  # each GIF is read with it
+        self._channels = _colour_channels(spec, name)
+        self._alpha: int = spec.alpha_channel
+        self.has_alpha: bool = self._alpha >= 0 and kind != "gif"  # each GIF is read with it
         self.is_deep: bool = str(spec.format) == "uint16" and len(set(self._channels)) == 1
         self.levels: Levels | None = None
-        self.extra: int = spec.nchannels - len(set(self._channels)) - (spec.alpha_channel >= 0)
+        self.extra: int = spec.nchannels - len(set(self._channels)) - (self._alpha >= 0)
 
     def attribute(self, name: str) -> object:
         """The value of an entry of the header by OpenImageIO's name, such as "Exif:FocalLength":
@@ -83,7 +84,7 @@ class Photo:
 
     def alpha(self) -> NDArray[np.uint8]:
         """The alpha channel, uint8[H, W]; the photo must have one."""
-        return np.concatenate([rows[..., self._spec.alpha_channel].copy()
+        return np.concatenate([rows[..., self._alpha].copy()
                                for rows in self._bands(0, self.height, "uint8")])
 
     def _bands(self, top: int, bottom: int, kind: str) -> Iterator[NDArray[Any]]:
@@ -117,13 +118,13 @@ def _whole(name: str | Path, image: Any, pixels: NDArray[Any] | None) -> NDArray
     return pixels
 
 
-def _colour_channels(spec: Any, kind: str, name: str | Path) -> tuple[int, int, int]:
+def _colour_channels(spec: Any, name: str | Path) -> tuple[int, int, int]:
     """The indices of the red, green and blue channels."""
     if spec.get_int_attribute("tiff:PhotometricInterpretation", 2) not in COLOUR_MODELS:
         model = spec.get_string_attribute("tiff:ColorSpace") or "another colour model"
         raise InputError(f"{name}: a TIFF in {model}, whose colours are not read; "
                          "convert it to RGB")
-    if str(spec.format) in (*FLOAT_SAMPLES, "double") and kind != "array":
+    if str(spec.format) in (*FLOAT_SAMPLES, "double"):
         raise InputError(f"{name}: photos with floating point samples, such as EXR, are not read; "
                          f"{CONVERT}")
     names = [channel.rpartition(".")[2].upper() for channel in spec.channelnames]
@@ -132,41 +133,34 @@ def _colour_channels(spec: Any, kind: str, name: str | Path) -> tuple[int, int, 
     return (0, 1, 2) if spec.nchannels > 2 else (0, 0, 0)
 
 
-class _ArrayInput:
-    """An array with those methods of OpenImageIO's input that `Photo` calls."""
+class _ArrayPhoto(Photo):
+    """Pixels in memory; see `opened`."""
 
     def __init__(self, pixels: NDArray[Any]) -> None:
-        import OpenImageIO as oiio
-
         if pixels.ndim not in (2, 3) or pixels.dtype not in (np.uint8, np.uint16, np.float32) or (
                 pixels.ndim == 3 and not 1 <= pixels.shape[2] <= 4) or not pixels.size:
             raise InputError(f"a photo is {pixels.dtype}{list(pixels.shape)}; give uint8, uint16 "
                              "or float32 [H, W, 3]")
+        self.name = f"array {list(pixels.shape)}"
         self._pixels = pixels.reshape(*pixels.shape[:2], -1)
-        height, width, channels = self._pixels.shape
-        kind = "float" if pixels.dtype == np.float32 else str(pixels.dtype)
-        self._spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(kind))
-        self._spec.channelnames = (("Y", "A"), ("R", "G", "B", "A"))[channels > 2][:channels]
-        self._spec.alpha_channel = channels - 1 if channels in (2, 4) else -1
+        self.height, self.width, channels = self._pixels.shape
+        self.orientation, self.extra, self.levels = 1, 0, None
+        self._channels = (0, 1, 2) if channels > 2 else (0, 0, 0)
+        self._alpha, self.has_alpha = channels - 1, channels in (2, 4)
+        self.is_deep = pixels.dtype == np.uint16 and channels < 3
 
-    def spec(self) -> Any:
-        return self._spec
+    def attribute(self, name: str) -> object:
+        return None
 
-    def format_name(self) -> str:
-        return "array"
-
-    def geterror(self) -> str:
-        return ""
-
-    def read_scanlines(self, begin: int, end: int, *others: Any) -> NDArray[Any]:
-        """Rows in the kind of samples that stands last, "uint8" or "uint16"."""
-        rows, kind = self._pixels[begin:end], np.dtype(others[-1])
-        if rows.dtype == kind:
-            return rows
-        whole = 1.0 if rows.dtype == np.float32 else float(np.iinfo(rows.dtype).max)
-        scaled = np.clip(np.nan_to_num(rows), 0, whole) * (np.iinfo(kind).max / whole)
-        samples: NDArray[Any] = (scaled + 0.5).astype(kind)
-        return samples
+    def _bands(self, top: int, bottom: int, kind: str) -> Iterator[NDArray[Any]]:
+        whole = 1.0 if self._pixels.dtype == np.float32 else np.iinfo(self._pixels.dtype).max
+        step = band_rows(self.width, self._pixels.shape[2])
+        for row in range(top, bottom, step):
+            rows = self._pixels[row:min(row + step, bottom)]
+            if rows.dtype != kind:
+                scaled = np.clip(np.nan_to_num(rows), 0, whole) * (np.iinfo(kind).max / whole)
+                rows = (scaled + 0.5).astype(kind)
+            yield rows
 
 
 @contextmanager
@@ -178,6 +172,9 @@ def opened(source: Source) -> Iterator[Photo]:
     source : a path, encoded bytes, or an array uint8, uint16 or float32 [H, W] or [H, W, C], sRGB,
         floats in 0 to 1. One channel is grey; a second or a fourth one is alpha.
     """
+    if isinstance(source, np.ndarray):
+        yield _ArrayPhoto(source)
+        return
     with _input(source) as (name, image):
         yield Photo(name, image)
 
@@ -224,11 +221,8 @@ def levels_note(levels: Sequence[Levels | None]) -> str:
 
 
 @contextmanager
-def _input(source: Source) -> Iterator[tuple[str | Path, Any]]:
+def _input(source: str | Path | bytes) -> Iterator[tuple[str | Path, Any]]:
     """The name of an image for messages, and OpenImageIO's input of it."""
-    if isinstance(source, np.ndarray):
-        yield f"array {list(source.shape)}", _ArrayInput(source)
-        return
     if isinstance(source, bytes):
         name = f"encoded image of {len(source)} bytes"
         with temporary_file(source) as path:
