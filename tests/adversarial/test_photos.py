@@ -33,14 +33,10 @@ def tiff(array=PICTURE, photometric="rgb", **options):
     return lambda path: tifffile.imwrite(path, array, photometric=photometric, **options)
 
 
-def library(array, kind, names=None, **attributes):
+def library(array, kind):
     """By OpenImageIO, which writes what Pillow does not."""
     def write(path):
         spec = oiio.ImageSpec(array.shape[1], array.shape[0], array.shape[2], kind)
-        if names:
-            spec.channelnames = names
-        for name, value in attributes.items():
-            spec.attribute(name, value)
         output = oiio.ImageOutput.create(str(path))
         if output is None:
             pytest.skip(f"this OpenImageIO writes no {path.suffix}: {oiio.geterror()}")
@@ -53,30 +49,6 @@ def under_another_suffix(suffix, write):
         write(path.with_suffix(suffix))
         path.with_suffix(suffix).rename(path)
     return renamed
-
-
-def chunk(kind, data):
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(
-        ">I", zlib.crc32(kind + data))
-
-
-def png(extra=b"", bits=8, colour=2, width=32, height=24, interlace=0, body=None):
-    """A PNG made by hand, with chunks that no library writes."""
-    rows = b"".join(b"\0" + row.tobytes() for row in PICTURE) if body is None else body
-    def write(path):
-        path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(
-            ">IIBBBBB", width, height, bits, colour, 0, 0, interlace)) + extra + chunk(
-                b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
-    return write
-
-
-def interlaced(path):
-    """Adam7: seven passes of rows."""
-    passes = ((0, 8, 0, 8), (0, 8, 4, 8), (4, 8, 0, 4), (0, 4, 2, 4), (2, 4, 0, 2), (0, 2, 1, 2),
-              (1, 2, 0, 1))
-    body = b"".join(b"\0" + row.tobytes() for top, down, left, right in passes
-                    for row in PICTURE[top::down, left::right])
-    png(interlace=1, body=body)(path)
 
 
 def exif(number):
@@ -102,14 +74,12 @@ READ = {
     "CMYK JPEG": ("a.jpg", pillow("CMYK", quality=95), PICTURE, 2),
     "grey JPEG": ("a.jpg", pillow(array=PICTURE[..., 0], mode="L", quality=95), GREY, 1.5),
     "PNG called JPEG": ("a.jpg", under_another_suffix(".png", pillow()), PICTURE, 0),
-    "interlaced PNG": ("a.png", interlaced, PICTURE, 0),
     "1-bit PNG": ("a.png", pillow("1", (PICTURE[..., 0] > 127) * np.uint8(255)), ONE_BIT, 0),
     "palette with transparency": ("a.png", lambda p: PALETTE.save(p, transparency=3), FEW, 0),
     "grey with alpha": ("a.png", lambda p: Image.fromarray(np.dstack(
         [PICTURE[..., :1], ALPHA]), "LA").save(p), GREY, 0),
     "alpha PNG": ("a.png", pillow("RGBA", np.dstack([PICTURE, ALPHA])), PICTURE, 0),
     "16-bit PNG": ("a.png", library(PICTURE.astype(np.uint16) * 257, "uint16"), PICTURE, 0),
-    "PNG of gamma 0.45": ("a.png", png(chunk(b"gAMA", struct.pack(">I", 45455))), PICTURE, 0),
     "EXIF turned": ("a.jpg", pillow(quality=95, subsampling=0, exif=exif(6)), PICTURE, 1.5),
     "TIFF in strips": ("a.tif", tiff(BIG, rowsperstrip=7), BIG, 0),
     "tiled planar TIFF": ("a.tif", tiff(BIG.transpose(2, 0, 1), planarconfig="separate",
@@ -186,7 +156,6 @@ REFUSED = {
     "DPX": ("a.dpx", library(PICTURE, "uint8"), ("format dpx", "convert it")),
     "PNG of 60000 x 60000": ("a.png", claims(60000, 60000), ("a.png", ";")),
     "PNG taller than its data": ("a.png", claims(32, 48), ("damaged or cut short",)),
-    "interlaced PNG cut": ("a.png", cut(interlaced, 0.6), ("cut short",)),
     "PNG bit flipped": ("a.png", damaged(library(NOISE, "uint8"), lambda d: (
         d[:4000] + bytes([d[4000] ^ 255]) + d[4001:])), ("damaged or cut short",)),
     "progressive JPEG cut": ("a.jpg", cut(pillow(array=NOISE, progressive=True), 0.7),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,6 +38,7 @@ SHOWN = 5  # names in a sentence
 FARTHEST = 1000.0  # metres from the photos' GPS to where control points place them
 ELLIPSOIDAL = "the photos' GPS altitudes, above the ellipsoid"
 SEA_LEVEL = "the photos' GPS altitudes, nominally above sea level"
+SIGN = "is the longitude (E, W) or the latitude (N, S) wrong in sign?"
 EXCHANGED = "are x and y exchanged, or has one of them the wrong sign?"
 
 
@@ -229,8 +230,9 @@ def _by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: s
     std = None
     if any(photo.gps_std is not None for photo in known):
         std = np.array([photo.gps_std or 3 * (UNKNOWN_STD,) for photo in known])
-    guesses = [Guess(question, map_positions(other, heights)[0])
-               for question, other in _other_degrees(degrees)]
+    guesses = [Guess(question, map_positions(other, heights)[0]) for question, other in (
+        ("are latitude and longitude exchanged?", degrees[:, ::-1]),
+        (SIGN, degrees * (1, -1)), (SIGN, degrees * (-1, 1)))]
     return _Measured(names, centres, positions, guesses, own, vertical, std, tuple(notes))
 
 
@@ -244,18 +246,6 @@ def _gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata]
             np.array([image.projection_center() for image, _ in found]).reshape(-1, 3),
             np.array([(known.latitude, known.longitude) for _, known in found],
                      np.float64).reshape(-1, 2))
-
-
-def _other_degrees(degrees: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """What latitudes and longitudes [N, 2] may be instead."""
-    if (np.abs(degrees[:, 1]) <= 90).all():
-        yield "are latitude and longitude exchanged?", degrees[:, ::-1]
-    for column in (1, 0):
-        for sign in (-1, 1):
-            other = degrees.copy()
-            other[:, column] = sign * np.abs(other[:, column])
-            if not np.array_equal(other, degrees):
-                yield "is the longitude (E, W) or the latitude (N, S) wrong in sign?", other
 
 
 def require_near_gps(result: Alignment, images: Sequence[Any],

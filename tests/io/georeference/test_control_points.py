@@ -66,24 +66,15 @@ def test_check_points_are_those_that_are_named(tmp_path):
         read_control_points(path, checks=["east"])
 
 
-def test_degrees_become_metres_of_the_utm_zone(tmp_path):
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:3857"])
+def test_degrees_and_web_mercator_become_metres_of_the_utm_zone(tmp_path, crs):
+    place = 587637.54, 3338094.73
+    x, y = pyproj.Transformer.from_crs("EPSG:32614", crs, always_xy=True).transform(*place)
     path = tmp_path / "gcp.txt"
-    path.write_text("EPSG:4326\n-98.0898 30.1711 300 10 20 a.jpg\n")
+    path.write_text(f"{crs}\n{x} {y} 300 10 20 a.jpg\n")
     read = read_control_points(path)
-    (point,) = read.points
     assert read.crs == "EPSG:32614"
-    assert point.position == pytest.approx((587637.54, 3338094.73, 300), abs=0.1)
-
-
-def test_web_mercator_becomes_metres_of_the_ground(tmp_path):
-    to_web = pyproj.Transformer.from_crs("EPSG:32614", "EPSG:3857", always_xy=True)
-    east, north = to_web.transform(587637.54, 3338094.73)
-    path = tmp_path / "gcp.txt"
-    path.write_text(f"EPSG:3857\n{east} {north} 300 10 20 a.jpg\n")
-    read = read_control_points(path)
-    (point,) = read.points
-    assert read.crs == "EPSG:32614"
-    assert point.position == pytest.approx((587637.54, 3338094.73, 300), abs=0.01)
+    assert read.points[0].position == pytest.approx((*place, 300), abs=0.01)
 
 
 def test_the_crs_may_be_given_as_an_option(tmp_path):
