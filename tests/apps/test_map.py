@@ -78,6 +78,7 @@ def test_tags_place_it_on_the_earth(house):
                               ("surface.tif", ("height", "spread"), "metre")):
         with rasterio.open(folder / name) as file:
             assert file.crs.to_epsg() == 32633 and np.allclose(file.bounds, grid.bounds)
+            assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
             assert file.descriptions == bands and set(file.units) == {unit}
             assert file.profile["tiled"] and file.compression.name == "deflate"
             tags = file.tags()

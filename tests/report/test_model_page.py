@@ -142,15 +142,6 @@ def test_what_cannot_be_a_page_is_refused(tmp_path, city, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_export_writes_the_page_of_a_run(tmp_path, city):
-    model = colourful(city, 300)
-    model.opacity_logits[:] = np.where(np.arange(300) < 5, -20, 1)
-    run, output = run_with(tmp_path / "run", model), tmp_path / "run.html"
-    result = clsplat_("export", run.path, "-o", output)
-    assert result.exit_code == 0, result.output
-    assert '"count": 295' in output.read_text("utf-8")
-
-
 def drawn(folder, city, model, camera, **changes):
     """The picture of a page in Chromium, and ours."""
     camera = replace(camera, offset=model.offset)
@@ -163,18 +154,21 @@ def drawn(folder, city, model, camera, **changes):
 
 @pytest.mark.slow
 @needs_chromium
-@pytest.mark.parametrize("changes", [{}, {"antialiased": True, "background": (0.2, 0.5, 0.9)}],
-                         ids=["classic", "antialiased"])
-def test_a_browser_draws_what_we_draw(tmp_path, item_device, city, changes):
-    model = colourful(city, 4000)
+@pytest.mark.parametrize("degree, changes, least", [
+    (3, {}, 45), (3, {"antialiased": True, "background": (0.2, 0.5, 0.9)}, 45), (0, {}, 52)],
+    ids=["classic", "antialiased", "no harmonics"])
+def test_a_browser_draws_what_we_draw(tmp_path, item_device, city, degree, changes, least):
+    """Measured: 49.4 dB with harmonics that are noise, and 54.4 without; trained models had 6 dB
+    less where each layer is rounded to 8 bits."""
+    model = colourful(city, 4000, degree)
     camera = replace(city.views[3].camera.resized(480, 360), centre=(255.0, 170.0))
     shown = drawn(tmp_path, city, model, camera, **changes)
     opened = open_model(item_device, model, city.near_plane, **changes)
-    ours = render_view(*opened, model.sh_degree, camera)
+    ours = render_view(*opened, degree, camera)
     assert shown.shape == ours.shape and ours.std() > 0.1
-    assert psnr(shown, ours) > 40  # measured: 44.2, for harmonics that are noise
-    plain = render_view(*opened, 0, camera)
-    assert psnr(shown, plain) < 35  # so the harmonics are there
+    assert psnr(shown, ours) > least
+    if degree:
+        assert psnr(shown, render_view(*opened, 0, camera)) < 35  # so the harmonics are there
 
 
 @pytest.mark.slow
@@ -316,12 +310,14 @@ def test_export_of_a_run_without_its_scene_keeps_everything(tmp_path, city):
 
 
 def test_a_page_leaves_out_what_one_photo_shows(tmp_path, city):
+    """And what has vanished."""
     model = colourful(city, 300)
-    model.opacity_logits[:] = 1
+    model.opacity_logits[:] = np.where(np.arange(300) < 10, -20, 1)
+    model.opacity_logits[:5] = 1
     model.positions[:5] += 1e5
     run = run_with(tmp_path / "run", model)
     run.save_model(model, city.offset)
-    for words, count in (((), 295), (("--everything",), 300)):
+    for words, count in (((), 290), (("--everything",), 295)):
         result = clsplat_("export", run.path, "-o", tmp_path / "run.html", "--overwrite", *words)
         assert result.exit_code == 0, result.output
         assert f'"count": {count}' in (tmp_path / "run.html").read_text("utf-8"), result.output
