@@ -88,7 +88,7 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         if follow:
             grid = extent.around(grid)
         unit = "metre" if crs else "scene unit"
-        statement = stated(scene)
+        statement = _stated(scene)
         units = dict.fromkeys(HEIGHTS_OF, unit)
         colours = Raster(Path(scratch) / "colours", grid, crs, COLOURS, True)
         drawn, surface = (Raster(Path(scratch) / name, grid, crs, units, False)
@@ -108,7 +108,7 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
                              "fewer than two photos show the place; train longer, or give other "
                              "--bounds")
         if interval is None:
-            interval = contour_interval(heights)
+            interval = _contour_interval(heights)
         if interval:
             progress.phase("drawing contour lines")
         lines = contour_lines(heights, interval)  # first of all: there may be too many of them
@@ -180,7 +180,7 @@ def _copy_without_pits(colours: Raster, drawn: Raster, surface: Raster) -> int:
     for y, x in np.ndindex(drawn.grid.tiles[::-1]):
         covered = colours.read((x, y))[..., 3] > 0
         heights = drawn.read((x, y), MARGIN)
-        known = np.isfinite(heights[own][..., 0]) & ~pits(
+        known = np.isfinite(heights[own][..., 0]) & ~_pits(
             heights[..., 0], heights[..., 1], drawn.grid.resolution)
         dropped += int((covered & ~known).sum())
         if known.any():
@@ -188,19 +188,13 @@ def _copy_without_pits(colours: Raster, drawn: Raster, surface: Raster) -> int:
     return dropped
 
 
-def pits(heights: Heights, spread: Heights, resolution: float) -> NDArray[np.bool_]:
-    """Which pixels of a tile are pits, or unsure where hardly any height around is sure,
-    bool[H, W].
+def _pits(heights: Heights, spread: Heights, resolution: float) -> NDArray[np.bool_]:
+    """bool[H, W]: which pixels of a tile [H + 2 MARGIN, W + 2 MARGIN] are pits, or unsure where
+    hardly any height around is sure.
 
     Where the ground is thin, half of the light passes it and ends at stray gaussians far below: the
     median depth has a pit there. It differs from a true hole or a street between houses in where
     the first tenth of the light is held back: on the ground, not at the bottom.
-
-    Parameters
-    ----------
-    heights : [H + 2 MARGIN, W + 2 MARGIN], map units; nan: unknown.
-    spread : as heights: how far above them the first tenth of the light is held back.
-    resolution : map units a pixel.
     """
     least = LEAST_DEPTH * resolution
     sure = np.where(spread <= least, heights, np.nan)[STEP // 2::STEP, STEP // 2::STEP]
@@ -224,7 +218,7 @@ def _smoothed(heights: Heights) -> NDArray[np.float64]:
     return result
 
 
-def contour_interval(heights: Heights) -> float:
+def _contour_interval(heights: Heights) -> float:
     """A round number (1, 2 or 5 times a power of ten) that gives about LINES contour lines, in the
     unit of the heights; 0 for a surface without heights."""
     known = heights[~np.isnan(heights)]
@@ -289,7 +283,7 @@ def _write_preview(path: Path, colours: Raster, surface: Raster, lines: list[Con
                       surface.grid.resolution * 2**level, interval, unit)
 
 
-def stated(scene: Scene) -> dict[str, Any]:
+def _stated(scene: Scene) -> dict[str, Any]:
     """What is known of a map's exactness, for RECORD: the ground sampling distance of the photos,
     the vertical reference, and the georeference with its residuals, metres."""
     result: dict[str, Any] = {"ground_sampling_distance": ground_resolution(scene)}

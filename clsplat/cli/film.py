@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from fractions import Fraction
 from pathlib import Path
 
@@ -9,17 +10,27 @@ import click
 
 from clsplat.cli.flags import (
     FiniteRange,
+    Parsed,
     check_free,
     device_flag,
     everything_flag,
     host_memory_flag,
     moved_scene_flag,
-    size_type,
 )
 from clsplat.errors import InputError
 
 LARGEST_SIDE = 8192  # pixels: the most that H.264 has a level for
 AUTO, PHOTOS, TURNTABLE = "auto", "photos", "turntable"
+
+
+def _size(text: str) -> tuple[int, int]:
+    """A width and a height in pixels."""
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.lower())
+    width, height = map(int, match.groups()) if match else (0, 0)
+    if not (0 < width <= LARGEST_SIDE and 0 < height <= LARGEST_SIDE):
+        raise ValueError("not a size; give width and height in pixels, at most "
+                         f"{LARGEST_SIDE}, such as 1280x720")
+    return width, height
 
 
 @click.command()
@@ -33,7 +44,7 @@ AUTO, PHOTOS, TURNTABLE = "auto", "photos", "turntable"
               help="Length of the film.")
 @click.option("--fps", type=FiniteRange(1, 240), default=30.0, show_default=True,
               help="Frames a second.")
-@click.option("--size", type=size_type(LARGEST_SIDE), default="1280x720", show_default=True,
+@click.option("--size", type=Parsed("WIDTHxHEIGHT", _size), default="1280x720", show_default=True,
               help="Pixels of a frame.")
 @click.option("--fov", type=FiniteRange(1, 170), help="Horizontal angle of view, degrees. Default: "
               "that of the photos or of the camera path.")
@@ -43,7 +54,7 @@ AUTO, PHOTOS, TURNTABLE = "auto", "photos", "turntable"
 @moved_scene_flag
 @device_flag
 def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: tuple[int, int],
-         fov: float | None, everything: bool, overwrite: bool, host_memory: float,
+         fov: float | None, everything: bool, overwrite: bool, host_memory: int,
          scene: Path | None, device: str) -> None:
     """Draw a flight through RUN as a film."""
     from dataclasses import replace
@@ -82,7 +93,7 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
     cameras = paths.interpolated(keys, times, size, fov or paths.film_degrees(data))
     with Progress() as progress:
         progress.phase("opening the device")
-        pictures = films.frames(opened, data, cameras, choose_device(device), host_memory,
+        pictures = films.frames(opened, data, cameras, choose_device(device), host_memory << 20,
                                 everything)
         shown = partial(progress.count, "frame", total=count)
         if as_film:

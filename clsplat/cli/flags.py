@@ -29,7 +29,6 @@ from clsplat.options import TrainOptions, from_toml, options_with
 from clsplat.schedule.registry import OURS, others
 
 SHOW_ALL = "clsplat.help_all"  # in a context's `meta` if its help lists every option
-LEAST_HOST_BYTES = 16 << 20
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
 OTHERS = "clsplat.others"  # in a context's `meta`: the `Others` that are named
 OTHER_FLAGS = "clsplat.other_flags"  # and their flags
@@ -82,28 +81,6 @@ def _help_all(ctx: click.Context, param: click.Parameter, value: bool) -> None:
         ctx.meta[SHOW_ALL] = True
         click.echo(ctx.get_help())
         ctx.exit()
-
-
-class SectionedGroup(click.Group):
-    """A group of commands whose help lists them under headings."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.sections: dict[str, list[str]] = {}
-
-    def add_section(self, heading: str, *commands: click.Command) -> None:
-        """Add commands, which the help lists in this order under `heading`."""
-        self.sections[heading] = [command.name or "" for command in commands]
-        for command in commands:
-            self.add_command(command)
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the sections."""
-        width = formatter.width - 6 - max(map(len, self.commands))
-        for heading, names in self.sections.items():
-            with formatter.section(heading):
-                formatter.write_dl(
-                    [(name, self.commands[name].get_short_help_str(width)) for name in names])
 
 
 class Parsed(click.ParamType):  # type: ignore[type-arg]  # generic only since click 8.3
@@ -270,34 +247,9 @@ everything_flag = click.option("--everything", is_flag=True, help="Keep gaussian
                                "fewer than two photos show, which a page and a film leave out.")
 
 
-def size_type(most: int) -> Parsed:
-    """The type of a flag that takes a width and a height in pixels, at most `most` each."""
-    def size_of(text: str) -> tuple[int, int]:
-        sides = text.lower().split("x")
-        if len(sides) != 2 or not all(side.isdecimal() and 0 < int(side) <= most
-                                      for side in sides):
-            raise ValueError("not a size; give width and height in pixels, at most "
-                             f"{most}, such as 1280x720")
-        return int(sides[0]), int(sides[1])
-    return Parsed("WIDTHxHEIGHT", size_of)
-
-
-def bytes_of(text: str) -> float:
-    """Bytes of a size such as 512MiB or 2GiB."""
-    units = {"kib": 1 << 10, "mib": 1 << 20, "gib": 1 << 30}
-    number, unit = text.strip()[:-3], text.strip()[-3:].lower()
-    try:
-        size = float(number) * units[unit]
-    except (ValueError, KeyError):
-        size = 0.0
-    if not LEAST_HOST_BYTES <= size < math.inf:
-        raise ValueError("not a size of memory; give at least 16MiB, such as 512MiB or 2GiB")
-    return size
-
-
 host_memory_flag = click.option(
-    "--host-memory", type=Parsed("SIZE", bytes_of), default="1GiB", show_default=True,
-    help="Host memory for what is drawn of a city with a tree, such as 512MiB.")
+    "--host-memory", type=click.IntRange(16), default=1024, show_default=True, metavar="MIB",
+    help="Host memory, MiB, for what is drawn of a city with a tree.")
 
 
 def check_free(output: Path, overwrite: bool) -> None:

@@ -19,7 +19,6 @@ from clsplat.cli.edit import edit
 from clsplat.cli.evaluate import compare, evaluate
 from clsplat.cli.export import export
 from clsplat.cli.film import film
-from clsplat.cli.flags import SectionedGroup
 from clsplat.cli.georeference import georeference
 from clsplat.cli.map import map_command
 from clsplat.cli.pack import pack
@@ -36,8 +35,27 @@ SIGPIPE = 13  # its number where it exists; Windows has none
 CURE = "check that it exists, that it may be read or written, and that the disk has space"
 
 
-class Reporting(SectionedGroup):
-    """A group that turns every failure into an exit code, and errors of the user into one line."""
+class Reporting(click.Group):
+    """A group of commands under headings, which turns every failure into an exit code, and errors
+    of the user into one line."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.sections: dict[str, list[str]] = {}
+
+    def add_section(self, heading: str, *commands: click.Command) -> None:
+        """Add commands, which the help lists in this order under `heading`."""
+        self.sections[heading] = [command.name or "" for command in commands]
+        for command in commands:
+            self.add_command(command)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the sections."""
+        width = formatter.width - 6 - max(map(len, self.commands))
+        for heading, names in self.sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(
+                    [(name, self.commands[name].get_short_help_str(width)) for name in names])
 
     def main(self, args: Sequence[str] | None = None, prog_name: str | None = None,
              complete_var: str | None = None, standalone_mode: bool = True, **extra: Any

@@ -22,7 +22,7 @@ from clsplat.errors import InputError
 @host_memory_flag
 @device_flag
 def render(model: Path, scene: Path | None, output: Path, views: str, beside: bool,
-           host_memory: float, device: str) -> None:
+           host_memory: int, device: str) -> None:
     """Render a run, or a file of gaussians, from the cameras of a scene.
 
     A city that was merged with --tree is read in parts, and need not fit memory.
@@ -44,7 +44,7 @@ def render(model: Path, scene: Path | None, output: Path, views: str, beside: bo
         raise InputError(f"{data.name}: has no {views} views; choose others with --views")
     if run and has_tree(run):
         renderer, tree = open_tree(run, choose_device(device), data.near(options.near),
-                                   host_memory)
+                                   host_memory << 20)
         render_views(lambda camera: render_view(
             renderer, tree, tree.sh_degree, camera.shifted(tree.offset - data.offset)),
             chosen, output, beside)

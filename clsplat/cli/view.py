@@ -15,7 +15,7 @@ from clsplat.cli.flags import device_flag, host_memory_flag
               help="Port of the page; default: 8642 if it is free, else any.")
 @host_memory_flag
 @device_flag
-def view(run: Path, port: int, host_memory: float, device: str) -> None:
+def view(run: Path, port: int, host_memory: int, device: str) -> None:
     """Show the model of RUN on a page for the browser, until Ctrl-C.
 
     clsplat draws every frame itself, so the page works in any browser. It can only be opened on
@@ -25,7 +25,7 @@ def view(run: Path, port: int, host_memory: float, device: str) -> None:
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
     try:
-        show_run(Run.open(run), choose_device(device), announce, port, host_memory)
+        show_run(Run.open(run), choose_device(device), announce, port, host_memory << 20)
     except KeyboardInterrupt:
         click.echo("closed")
 

@@ -142,7 +142,7 @@ def test_a_tree_is_drawn_as_the_model_it_replaces(copy, tmp_path, capsys, monkey
     assert f"{merged.count:,} gaussians of 2 blocks" in capsys.readouterr().out
     assert not (copy.path / "point_cloud.ply").exists()
     monkeypatch.setitem(MOST_SIGMA_PIXELS, False, 0.0)
-    finest = pictures(copy, tmp_path / "finest", "--host-memory", "16MiB")
+    finest = pictures(copy, tmp_path / "finest", "--host-memory", "16")
     assert abs(finest - whole).max() <= 1 / 255
     assert "of " + f"{merged.count:,} gaussians drawn" in capsys.readouterr().out
     monkeypatch.setitem(MOST_SIGMA_PIXELS, False, 1e6)
