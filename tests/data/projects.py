@@ -1,18 +1,14 @@
 """A scene written as the projects of other programs, so that reading it back can be compared.
 
-Formats are those that `io/scenes/projects/opensfm.py`, `metashape.py` and `opf.py` name.
+Formats are those that `io/scenes/projects/opensfm.py` and `metashape.py` name.
 """
 
-import json
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.data.layouts import put_photo, world_points, write_json
-
-FLIP = np.array([1.0, -1.0, -1.0])
-Z_UP_TO_Y_UP = np.array([(1.0, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)])
 
 
 def stored(view):
@@ -111,65 +107,3 @@ def write_metashape(folder, scene, transform=None, reference="", extra="", label
 </chunk></document>
 """)
     return folder / "cameras.xml"
-
-
-def write_opf(folder, scene, crs="EPSG:32632"):
-    """project.opf and its resources, with points in one glTF node."""
-    put_photos(folder / "images", scene)
-    size, (fx, _, cx, cy), k, p, _ = stored(scene.views[0])
-    cameras = []
-    for number, view in enumerate(scene.views):
-        angles = Rotation.from_matrix(view.camera.rotation.T * FLIP).as_euler("XYZ", degrees=True)
-        cameras.append({"id": 2**63 + number, "sensor_id": 7, "orientation_deg": angles.tolist(),
-                        "position": position(scene, view).tolist()})
-    internals = {
-        "type": "perspective", "principal_point_px": [cx, cy], "focal_length_px": fx,
-        "radial_distortion": k[:3], "tangential_distortion": list(p)}
-    form = "application/opf-{}+json".format
-    files = {
-        "camera-list": {"cameras": [
-            {"id": 2**63 + number, "uri": f"images/{view.name}"}
-            for number, view in enumerate(scene.views)] + [{"id": 5, "uri": "depth.tif#page=1"}]},
-        "input-cameras": {"sensors": [{"id": 7, "image_size_px": list(size)}], "captures": []},
-        "calibrated-cameras": {"cameras": cameras,
-                               "sensors": [{"id": 7, "internals": internals}]},
-        "scene-reference-frame": {"crs": {"definition": crs}, "base_to_canonical": {
-            "shift": [-500000.0, -5300000.0, -200.0], "scale": [1.0, 1.0, 1.0], "swap_xy": False}}}
-    kinds = {"camera-list": "camera_list", "input-cameras": "input_cameras",
-             "calibrated-cameras": "calibration", "scene-reference-frame": "scene_reference_frame"}
-    items = []
-    for name, table in files.items():
-        write_json(folder / f"{name}.json", {"format": form(name), "version": "1.0", **table})
-        items.append({"id": name, "type": kinds[name], "sources": [], "resources": [
-            {"uri": f"{name}.json", "format": form(name)}]})
-    items[2]["resources"].append({"uri": "tracks/tracks.gltf", "format": "model/gltf+json"})
-    write_gltf(folder / "tracks/tracks.gltf", scene)
-    write_json(folder / "project.opf", {
-        "format": form("project"), "version": "1.0", "name": "made", "id": "x", "items": items})
-
-
-def write_gltf(path, scene):
-    """Points with colours; positions are float32 relative to their middle."""
-    middle = world_points(scene).mean(axis=0)
-    arrays = {
-        "positions": (world_points(scene) - middle).astype("<f4"),
-        "colours": np.column_stack([scene.colours, np.full(len(scene.points), 255)]).astype("u1")}
-    kinds = {"positions": (5126, "VEC3"), "colours": (5121, "VEC4")}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    for name, array in arrays.items():
-        (path.parent / f"{name}.bin").write_bytes(b"head" * 2 + array.tobytes())
-    matrix = np.eye(4)
-    matrix[:3, 3] = middle
-    matrix = Z_UP_TO_Y_UP @ matrix
-    views = [{"buffer": number, "byteOffset": 8, "byteLength": array.nbytes, "target": 34962}
-             for number, array in enumerate(arrays.values())]
-    path.write_text(json.dumps({
-        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "matrix": matrix.ravel(order="F").tolist()}],
-        "meshes": [{"primitives": [{"mode": 0, "attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
-        "accessors": [{"bufferView": number, "componentType": kinds[name][0],
-                       "type": kinds[name][1], "count": len(array)}
-                      for number, (name, array) in enumerate(arrays.items())],
-        "bufferViews": views,
-        "buffers": [{"uri": f"{name}.bin", "byteLength": array.nbytes + 8}
-                    for name, array in arrays.items()]}))

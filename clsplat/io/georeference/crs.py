@@ -68,18 +68,12 @@ def scene_crs(text: str) -> str:
     return crs
 
 
-def project_crs(definition: str, north_first: bool = False) -> str:
+def project_crs(definition: str) -> str:
     """The horizontal CRS of another program's project, as `normal_crs` returns it, if its first two
-    coordinates are metres to the east and north; "" if it is another, or none that pyproj accepts.
-
-    Parameters
-    ----------
-    north_first : whether it may also be a CRS that has the north first, as is right where pyproj
-        converts the coordinates, and wrong where they are taken as the project has them.
-    """
+    coordinates are metres; "" if it is another, or none that pyproj accepts."""
     try:
         system = _flat(pyproj_crs(definition[:LONGEST_DEFINITION], "the project"))
-        if has_metres(system) and (north_first or system.axis_info[0].direction == "east"):
+        if has_metres(system):
             return _name(system)
     except InputError:
         pass

@@ -160,15 +160,6 @@ def exact_poses(rotations: NDArray[np.float64], positions: NDArray[np.float64]
         return exact, -(exact @ positions[:, :, None])[:, :, 0]
 
 
-def only(paths: Iterable[Path], kind: str) -> Path | None:
-    """The single one of some files, None if there is none; InputError if there are several."""
-    found = sorted(paths)
-    if len(found) > 1:
-        raise InputError(f"{found[0].parent}: holds several {kind}: {found[0].name}, "
-                         f"{found[1].name}; give the file itself instead of its folder")
-    return found[0] if found else None
-
-
 def read_cloud(folder: Path, ply: Path | None, transform: NDArray[np.float64]) -> Cloud | None:
     """Read the points of a scene folder: points3D.ply, sparse_pc.ply, or else a COLMAP model in the
     folder or in colmap/; None if all are missing.

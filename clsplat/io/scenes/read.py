@@ -17,7 +17,6 @@ from clsplat.io.runs.city import cropped_to_windows
 from clsplat.io.scenes.colmap import find_citygs, find_colmap, read_citygs, read_colmap
 from clsplat.io.scenes.projects.metashape import find_metashape, read_metashape
 from clsplat.io.scenes.projects.opensfm import find_opensfm, read_opensfm
-from clsplat.io.scenes.projects.opf import find_opf, read_opf
 from clsplat.io.scenes.transforms import find_transforms, read_transforms
 from clsplat.scene import Scene
 
@@ -25,7 +24,7 @@ from clsplat.scene import Scene
 Reader = tuple[Callable[[Path], Path | None], Callable[[Path, str], Scene]]
 READERS: tuple[Reader, ...] = (
     (find_citygs, read_citygs), (find_transforms, read_transforms), (find_colmap, read_colmap),
-    (find_opensfm, read_opensfm), (find_metashape, read_metashape), (find_opf, read_opf))
+    (find_opensfm, read_opensfm), (find_metashape, read_metashape))
 # of entry points, by which other packages register readers: NAME = MODULE, with the functions
 # find(path) and read(path, images) as in READERS
 GROUP = "clsplat.scenes"
@@ -37,7 +36,7 @@ def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
     Parameters
     ----------
     path : a folder with a COLMAP model, transforms.json, the layout of CityGS or a project of
-        OpenSfM or ODM, Metashape or OPF; the file of such a project.
+        OpenSfM or ODM or Metashape; the file of such a project.
     images : the folder of its photos, relative to the scene's; "": images/, see `photo_folder`.
     """
     path = Path(path)

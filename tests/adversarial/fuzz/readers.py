@@ -236,20 +236,12 @@ def _metashape(folder):
         yield seed
 
 
-def _opf(folder):
-    for (seed, scene), crs in zip(_scenes(folder), ("EPSG:32632", 'ENGCRS["a"]')):
-        seed.mkdir()
-        projects.write_opf(seed, scene, crs)
-        yield seed
-
-
 READERS = {
     "colmap": Reader(_made_scenes(False), _scene, files=(".bin",)),
     "colmap-text": Reader(_made_scenes(True), _scene, text=True, files=(".txt",)),
     "transforms": Reader(_made_transforms, _scene, text=True, files=(".json", ".ply")),
     "opensfm": Reader(_opensfm, _scene, text=True, files=(".json", ".csv")),
     "metashape": Reader(_metashape, _scene, text=True, files=(".xml",)),
-    "opf": Reader(_opf, _scene, text=True, files=(".opf", ".json", ".gltf", ".bin")),
     "image": Reader(_made_images, _image),
     "metadata": Reader(_metadata, _read_metadata, files=(".jpg",)),
     "ply": Reader(_made_plys, _ply, files=(".ply",)),

@@ -66,8 +66,8 @@ def test_places_that_are_not_on_the_earth():
 
 @pytest.mark.parametrize("definition, crs", [
     ("EPSG:32633", "EPSG:32633"), ("EPSG:32633+5773", "EPSG:32633"), ("EPSG:4326", ""),
-    ("EPSG:2263", ""), ("EPSG:3045", ""), ("EPSG:3857", ""), ("nonsense", ""), ("", ""),
+    ("EPSG:2263", ""), ("EPSG:3045", "EPSG:3045"), ("EPSG:3857", ""), ("nonsense", ""), ("", ""),
     ("a\0b", "")])
 def test_definitions_that_a_map_can_have(definition, crs):
-    """Projected, in metres, east before north."""
+    """Projected, in metres."""
     assert project_crs(definition) == crs

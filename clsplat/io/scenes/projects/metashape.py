@@ -21,10 +21,11 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from clsplat.errors import InputError
 from clsplat.io.fields import numbers, parsed, pixels, reading
 from clsplat.io.georeference.crs import is_local
 from clsplat.io.regular import open_regular, read_regular
-from clsplat.io.scenes.posed import Optics, PosedPhoto, brown, only
+from clsplat.io.scenes.posed import Optics, PosedPhoto, brown
 from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene, root_of
 from clsplat.placement.alignment import Similarity
 from clsplat.scene import Scene
@@ -40,7 +41,11 @@ def find_metashape(path: Path) -> Path | None:
     """The exported XML in a folder, or the path itself if it is one."""
     if path.is_file():
         return path if _is_export(path) else None
-    return only(filter(_is_export, path.glob("*.xml")), "exports of Metashape's cameras")
+    found = sorted(filter(_is_export, path.glob("*.xml")))
+    if len(found) > 1:
+        raise InputError(f"{path}: holds several exports of Metashape's cameras: {found[0].name}, "
+                         f"{found[1].name}; give the file itself instead of its folder")
+    return found[0] if found else None
 
 
 def _is_export(path: Path) -> bool:

@@ -29,7 +29,6 @@ from clsplat.io.scenes.sources import IMAGES, PHOTO_SUFFIXES, photo_folder
 from clsplat.placement.alignment import Similarity
 from clsplat.scene import Scene
 
-SCHEME = "file://"
 STEP = 50.0  # metres, over which the map is differentiated
 
 
@@ -48,9 +47,9 @@ class PhotoFiles:
         self.folder = folder if images or folder.is_dir() else project
         self.project, self._given = project, bool(images)
 
-    def found(self, names: Iterable[object], base: Path | None = None) -> list[tuple[str, Path]]:
+    def found(self, names: Iterable[object]) -> list[tuple[str, Path]]:
         """Find photos as `find` does; InputError if some are missing."""
-        found = [self.find(name, base) for name in names]
+        found = [self.find(name) for name in names]
         missing = [source for _, source in found if not os.path.isfile(source)]
         if missing:
             raise InputError(f"{_short(missing[0])}: no such image ({len(missing)} of {len(found)} "
@@ -58,15 +57,13 @@ class PhotoFiles:
                              "folder with --images")
         return found
 
-    def find(self, name: object, base: Path | None = None) -> tuple[str, Path]:
+    def find(self, name: object) -> tuple[str, Path]:
         """Find a photo.
 
         Parameters
         ----------
         name : as the project has it: a path of this or another machine, a file name, or a label
             without suffix.
-        base : the folder to which a relative path refers, besides that of photos; None: the
-            project's.
 
         Returns
         -------
@@ -75,13 +72,13 @@ class PhotoFiles:
         """
         if not isinstance(name, str) or CONTROL.search(name):
             raise ValueError("the name of a photo is not valid text")
-        parts = [part for part in PurePosixPath(
-            name.removeprefix(SCHEME).replace("\\", "/")).parts if part not in ("/", "//", "..")]
+        parts = [part for part in PurePosixPath(name.replace("\\", "/")).parts
+                 if part not in ("/", "//", "..")]
         if not parts:
             raise ValueError(f"{name[:80]!r} is not the name of a photo")
         places = [self.folder.joinpath(*parts[number:]) for number in range(len(parts))]
         if not self._given:  # a folder that the user gives holds all photos
-            places.append((base or self.project) / name.removeprefix(SCHEME))
+            places.append(self.project / name)
         path = (next(filter(os.path.isfile, places), None) or self._below(parts)
                 or self.folder / parts[-1])
         # what is named ../other/a.jpg is not below the folder
@@ -130,7 +127,7 @@ class OnEarth(NamedTuple):
 
 
 def project_scene(path: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
-                  points: Cloud | None = None, *, place: OnEarth | Georeference | None = None,
+                  points: Cloud | None = None, *, place: OnEarth | None = None,
                   z_is_up: bool = False, notes: Sequence[str] = ()) -> Scene:
     """Build the scene of a project and recentre it; see `posed_scene`.
 
@@ -140,15 +137,16 @@ def project_scene(path: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
     files : where the photos were searched.
     photos, points : in the project's coordinates. Without points: those of points3D.ply in the
         folder, on the map if there is one, else sampled where two cameras see.
-    place : on the earth, to which photos and points are moved; or a georeference that they have.
+    place : on the earth, to which photos and points are moved.
     """
     if not photos:
         raise InputError(f"{path}: no photo of the project has a pose; align the photos first, "
                          "and export again")
-    if isinstance(place, OnEarth):
-        similarity, place = on_map(
+    georeference = None
+    if place is not None:
+        similarity, georeference = on_map(
             place.to_earth, np.array([photo.position for photo in photos]),
-            project_crs(place.definition, north_first=True),
+            project_crs(place.definition),
             f"{place.program}'s alignment of {len(photos)} photos")
         photos = [replace(photo, rotation=photo.rotation @ similarity.rotation.T,
                           position=similarity(photo.position)) for photo in photos]
@@ -156,10 +154,11 @@ def project_scene(path: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
             points = replace(points, positions=similarity(points.positions))
     if points is None:
         points = read_cloud(files.project, None, np.eye(3, 4))
-        if points is not None and place is not None:
-            points = replace(points, positions=place.from_map(points.positions))
-    return posed_scene(path, files.project, photos, points, georeference=place, z_is_up=z_is_up,
-                       smaller=files.folder if files.folder.name != IMAGES else None, notes=notes)
+        if points is not None and georeference is not None:
+            points = replace(points, positions=georeference.from_map(points.positions))
+    return posed_scene(path, files.project, photos, points, georeference=georeference,
+                       z_is_up=z_is_up, notes=notes,
+                       smaller=files.folder if files.folder.name != IMAGES else None)
 
 
 def topocentric(latitude: float, longitude: float, height: float) -> Similarity:
