@@ -1,6 +1,5 @@
 """Locks on folders. A lock ends with its process, however that process ends."""
 
-import json
 import os
 import socket
 import time
@@ -13,7 +12,7 @@ from filelock import FileLock, Timeout
 from clsplat.errors import InputError
 
 LOCK = ".lock"  # a native lock of the operating system; on Linux the one of `flock FOLDER/.lock`
-HOLDER = ".lock.json"  # its process, for messages only; a killed process leaves it behind
+HOLDER = ".lock.txt"  # its process, for messages only; a killed process leaves it behind
 
 
 class LockTaken(InputError):
@@ -51,10 +50,10 @@ def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
                          ) from None
     try:
         if lock.lock_counter == 1:
-            record = {"process": os.getpid(), "host": socket.gethostname(),
-                      "since": time.strftime("%Y-%m-%d %H:%M:%S")}
+            words = (f"process {os.getpid()} on {socket.gethostname()}, since "
+                     f"{time.strftime('%Y-%m-%d %H:%M:%S')},")
             with suppress(OSError):  # a full disk must not keep a lock from being taken
-                path.with_name(HOLDER).write_text(json.dumps(record) + "\n", encoding="utf-8")
+                path.with_name(HOLDER).write_text(words)
         yield
     finally:
         if lock.lock_counter == 1:
@@ -76,7 +75,6 @@ def is_locked(folder: Path) -> bool:
 
 def holder(folder: Path) -> str:
     """Which process has locked a folder, in words, as far as it is known."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        record = json.loads((Path(folder) / HOLDER).read_bytes())
-        return f"process {record['process']} on {record['host']}, since {record['since']},"
+    with suppress(OSError, ValueError):
+        return (Path(folder) / HOLDER).read_text() or "another process"
     return "another process"

@@ -21,7 +21,7 @@ def test_another_process_is_refused_and_told_who_locked_it(tmp_path):
         assert is_locked(tmp_path)
     with exclusive(tmp_path):
         assert not is_locked(tmp_path)  # by another process
-    assert not (tmp_path / ".lock.json").exists()
+    assert not (tmp_path / ".lock.txt").exists()
 
 
 def test_the_lock_of_a_killed_process_is_free(tmp_path):
@@ -30,17 +30,17 @@ def test_the_lock_of_a_killed_process_is_free(tmp_path):
     assert child.stdout.readline() == "held\n"
     child.kill()
     child.communicate()
-    assert (tmp_path / ".lock.json").exists()  # what it left says nothing any more
+    assert (tmp_path / ".lock.txt").exists()  # what it left says nothing any more
     assert not is_locked(tmp_path)
     with exclusive(tmp_path):
-        assert str(os.getpid()) in (tmp_path / ".lock.json").read_text()
+        assert str(os.getpid()) in (tmp_path / ".lock.txt").read_text()
 
 
 def test_the_same_process_may_lock_again(tmp_path):
     with exclusive(tmp_path):
         with exclusive(tmp_path / ".." / tmp_path.name):
             pass
-        assert (tmp_path / ".lock.json").exists()
+        assert (tmp_path / ".lock.txt").exists()
         done = subprocess.run([sys.executable, "-c", HOLD, str(tmp_path)], capture_output=True,
                               text=True, check=False, stdin=subprocess.DEVNULL)
         assert "LockTaken" in done.stderr
