@@ -25,7 +25,7 @@ class ListedDevice:
     index : its number, as --device takes it.
     handle : pyopencl's device; None for a platform without devices.
     type : "gpu", "cpu", "accelerator", or "-" for a platform without devices.
-    reason, cure : why it does not work, and what to do about that.
+    reason : why it does not work; empty if it does.
     capabilities : its sizes and optional features.
     chosen : whether "auto" means this device.
     """
@@ -35,11 +35,25 @@ class ListedDevice:
     name: str
     type: str
     handle: Any
-    works: bool = False
     reason: str = ""
-    cure: str = ""
     capabilities: dict[str, Any] = field(default_factory=dict)
     chosen: bool = False
+
+    @property
+    def works(self) -> bool:
+        """Whether a two-line kernel gave the right results."""
+        return not self.reason
+
+    @property
+    def cure(self) -> str:
+        """What to do where it does not work."""
+        if self.handle is None:
+            return "none needed, unless you expected one: then its driver is missing"
+        if "Portable Computing" in self.platform and "target CPU" in self.reason:
+            return ("PyPI's PoCL is too old for this CPU: `pip uninstall "
+                    "pocl-binary-distribution`, then `apt-get install pocl-opencl-icd` or "
+                    "`pip install intel-opencl-rt intel-cmplr-lib-rt`")
+        return "update or reinstall this device's driver"
 
 
 def list_devices() -> list[ListedDevice]:
@@ -48,10 +62,20 @@ def list_devices() -> list[ListedDevice]:
     A platform without devices appears as one entry that does not work, so that everything that is
     installed is explained.
     """
-    entries = [_tested(entry) for entry in _enumerate()]
-    best = next((entry for entry in _ranked(entries) if entry.works), None)
-    if best is not None:
-        best.chosen = True
+    entries = _enumerate()
+    for entry in entries:
+        handle = entry.handle
+        entry.reason = probe_working(handle) if handle else "the platform lists no device"
+        if entry.works:
+            entry.capabilities = {
+                "compute_units": handle.max_compute_units,
+                "memory_bytes": handle.global_mem_size,
+                "largest_buffer_bytes": handle.max_mem_alloc_size,
+                "local_bytes": handle.local_mem_size,
+                "opencl_c": handle.opencl_c_version.strip(),
+                **probe_capabilities(cl.Context([handle]), handle)}
+    if working := [entry for entry in _ranked(entries) if entry.works]:
+        working[0].chosen = True
     return entries
 
 
@@ -72,27 +96,6 @@ def _enumerate() -> list[ListedDevice]:
     return entries
 
 
-def _tested(entry: ListedDevice) -> ListedDevice:
-    """Fill in whether the device works, and its capabilities."""
-    handle = entry.handle
-    if handle is None:
-        entry.reason = "the platform lists no device"
-        entry.cure = "none needed, unless you expected one: then its driver is missing"
-        return entry
-    entry.reason = probe_working(handle)
-    entry.works = not entry.reason
-    entry.cure = _cure(entry)
-    if entry.works:
-        entry.capabilities = {
-            "compute_units": handle.max_compute_units,
-            "memory_bytes": handle.global_mem_size,
-            "largest_buffer_bytes": handle.max_mem_alloc_size,
-            "local_bytes": handle.local_mem_size,
-            "opencl_c": handle.opencl_c_version.strip(),
-            **probe_capabilities(cl.Context([handle]), handle)}
-    return entry
-
-
 def _type(handle: Handle | None) -> str:
     if handle is None:
         return "-"
@@ -100,16 +103,6 @@ def _type(handle: Handle | None) -> str:
         if handle.type & getattr(cl.device_type, name.upper()):
             return name
     return "accelerator"
-
-
-def _cure(entry: ListedDevice) -> str:
-    if entry.works:
-        return ""
-    if "Portable Computing" in entry.platform and "target CPU" in entry.reason:
-        return ("PyPI's PoCL is too old for this CPU: `pip uninstall pocl-binary-distribution`, "
-                "then `apt-get install pocl-opencl-icd` or "
-                "`pip install intel-opencl-rt intel-cmplr-lib-rt`")
-    return "update or reinstall this device's driver"
 
 
 def _ranked(entries: Iterable[ListedDevice]) -> list[ListedDevice]:

@@ -137,30 +137,3 @@ def test_harmonics_that_are_not_active_stay(device, engine, degree):
     after = run.rows["sh_rest"].download()
     assert np.array_equal(after[:, active:], before[:, active:])
     assert (after[:, :active] != before[:, :active]).any() == (degree > 0)
-
-
-@ENGINES
-def test_moments_follow_their_rows(device, engine):
-    run = Run(device, engine, 20)
-    run.step(20)
-    source = np.array([3, 0, 19, 7, 7, 2], np.uint32)
-    old = run.engine.download()
-    run.engine.regrow(device.upload(source), 4)
-    for before, after in zip(old, run.engine.download()):
-        for name in WIDTHS:
-            assert np.array_equal(after[name][:4], before[name][source[:4]]), name
-            assert not after[name][4:].any(), name
-
-
-@ENGINES
-def test_moments_are_saved_taken_over_and_forgotten(device, engine):
-    run, other = (Run(device, engine, 6, seed=seed) for seed in (0, 1))
-    run.step(6)
-    saved = run.engine.download()
-    other.engine.upload(*saved)
-    for before, after in zip(saved, other.engine.download()):
-        assert all(np.array_equal(before[name], after[name]) for name in WIDTHS)
-    other.engine.reset("opacity_logits")
-    m, v = other.engine.download()
-    assert not m["opacity_logits"].any() and not v["opacity_logits"].any()
-    assert m["positions"].any() and v["positions"].any()

@@ -210,18 +210,6 @@ def test_between_is_the_identity_where_there_is_no_way_back(device, last):
                           np.eye(3, 4).ravel())
 
 
-def test_what_is_saved_is_taken_over_and_goes_on_the_same(device):
-    run, other = Run(device), Run(device, seed=1)
-    image, grad = a_pair(33, 17)
-    run.step(1, image, grad)
-    other.exposures.upload(run.exposures.download())
-    for each in (run, other):
-        stepped(each.exposures, 1, device.upload(image), device.upload(grad))
-    saved, taken = run.exposures.download(), other.exposures.download()
-    assert all(saved[name].tobytes() == taken[name].tobytes() for name in saved)
-    assert saved["steps"].tolist() == [0, 2, 0]
-
-
 def test_responses_are_what_the_kernels_apply(device):
     """By the host and by the reference: what an evaluation shows is what was learned."""
     run = Run(device, vignetting=True)
