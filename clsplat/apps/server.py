@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 LOOPBACK = "127.0.0.1"
-PORT = 8642  # if it is free
 PATIENCE = 20.0  # seconds, for a frame: a training may evaluate in between
 JPEG_QUALITY = 90
 IDLE_SECONDS = 15  # without a byte of a request
@@ -114,7 +113,7 @@ class ViewServer:
     page : HTML.
     requests : receives the requests for frames; someone must draw them.
     status : returns what the page is to know now, for JSON; called in another thread.
-    port : of the address; 0: PORT if it is free, else any.
+    port : of the address; 0: any that is free.
 
     Attributes
     ----------
@@ -153,14 +152,11 @@ class _Server(ThreadingHTTPServer):
 
 
 def _bound(handler: Callable[..., BaseHTTPRequestHandler], port: int) -> _Server:
-    """A server on the port that was asked for, or on a free one."""
-    for choice in (port,) if port else (PORT, 0):
-        try:
-            return _Server((LOOPBACK, choice), handler)
-        except OSError as error:
-            cause = error
-    raise InputError(f"--port {port}: cannot be opened ({cause.strerror}); choose another, or "
-                     "leave it out for a free one")
+    try:
+        return _Server((LOOPBACK, port), handler)
+    except OSError as error:
+        raise InputError(f"--port {port}: cannot be opened ({error.strerror}); choose another, or "
+                         "leave it out for a free one") from None
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -12,7 +12,7 @@ from clsplat.cli.flags import device_flag, host_memory_flag
 @click.command(short_help="Look at the model of RUN in the browser.")
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--port", type=click.IntRange(0, 65535), default=0,
-              help="Port of the page; default: 8642 if it is free, else any.")
+              help="Port of the page; default: any that is free.")
 @host_memory_flag
 @device_flag
 def view(run: Path, port: int, host_memory: int, device: str) -> None:

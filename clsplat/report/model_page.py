@@ -35,9 +35,7 @@ HARMONIC_STEP = 8  # of 256: so the harmonics have 32 levels; fewer compress bet
 COMPRESSION = 6  # level of zlib; 9 takes twice as long for 1 % less
 FREEDOM = 20.0  # degrees: so much steeper or flatter than the photos may the reader look
 FARTHEST = 4.0  # first distances: so far from its centre may the reader go
-GROUND = 0.05  # share of what is seen in a cell that lies lower than the ground
-CELLS = 16  # of the ground, along each side of what is seen
-FEWEST = 20  # gaussians of a cell whose ground is looked for; others have that of all
+GROUND = 0.05  # share of what is seen that lies lower than the ground
 CLEARANCE = 0.02  # of the first distance: the reader stays so high above the ground
 LARGEST_PAGE = 2**29 - 2**20  # characters: browsers hold no longer text
 PART = re.compile(r"\{\{(\w[\w.]*)\}\}\n?")  # of a template: a file of web/, or a given value
@@ -130,6 +128,8 @@ def view_record(camera: Camera, up: NDArray[np.float64], points: NDArray[np.floa
     middle = ahead & (np.abs(pixels - size / 2) < size * MIDDLE / 2).all(axis=1)
     chosen = depths[middle] if middle.any() else depths[ahead] if ahead.any() else np.ones(1)
     distance, up = float(np.median(chosen)), np.asarray(up, np.float64)
+    heights = points[np.isfinite(points).all(axis=1)].astype(np.float64) @ up
+    ground = np.quantile(heights, GROUND) + CLEARANCE * distance if len(heights) else np.inf
     slopes = np.array([each.rotation[2] @ up for each in (camera, *photos)])
     pitches = np.degrees(np.arcsin(np.clip(slopes, -1, 1)))
     return {"width": camera.width, "height": camera.height, "focal": list(camera.focal),
@@ -137,34 +137,9 @@ def view_record(camera: Camera, up: NDArray[np.float64], points: NDArray[np.floa
             "position": camera.position.tolist(), "up": up.tolist(), "distance": distance,
             "middle": (camera.position + distance * camera.rotation[2]).tolist(),
             "reach": FARTHEST * distance,
-            "ground": _ground(camera, up, points, CLEARANCE * distance),
+            "ground": float(min(ground, camera.position @ up)),
             "pitches": np.radians([max(-90, pitches.min() - FREEDOM),
                                    min(90, pitches.max() + FREEDOM)]).tolist()}
-
-
-def _ground(camera: Camera, up: NDArray[np.float64], points: NDArray[np.floating],
-            clearance: float) -> dict[str, Any]:
-    """The lowest height for the reader, in the middle of each of CELLS x CELLS cells.
-
-    Along the two `axes` the middle of the first cell is at `low`, the next one a `step` further.
-    The first view is nowhere too low.
-    """
-    axes = np.linalg.svd(up[None])[2][1:]
-    points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
-    if not len(points):
-        points = camera.position[None] - clearance * up
-    flat, heights = points @ axes.T, points @ up
-    low, high = np.quantile(flat, [GROUND, 1 - GROUND], axis=0)
-    step = np.maximum(high - low, 1e-9 * (1 + np.abs(low))) / CELLS
-    cells = np.clip((flat - low) // step, 0, CELLS - 1).astype(np.int64) @ [CELLS, 1]
-    order = np.argsort(cells, kind="stable")
-    ends = np.searchsorted(cells[order], np.arange(1, CELLS**2))
-    ground = np.array([np.quantile(each, GROUND) if len(each) >= FEWEST else np.nan
-                       for each in np.split(heights[order], ends)])
-    ground = np.where(np.isnan(ground), np.quantile(heights, GROUND), ground) + clearance
-    ground = np.minimum(ground, camera.position @ up).reshape(CELLS, CELLS)
-    return {"axes": axes.tolist(), "low": (low + step / 2).tolist(), "step": step.tolist(),
-            "heights": np.round(ground, 6).tolist()}
 
 
 def filled(template: str, **values: str) -> str:

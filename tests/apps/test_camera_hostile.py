@@ -144,7 +144,7 @@ def test_the_reader_looks_where_photos_looked(cameras, first, low, high):
     assert np.allclose(np.degrees(record["pitches"]), (low, high), atol=2.1)
     assert record["reach"] == 4 * record["distance"]
     assert np.allclose(record["middle"], camera.position + record["distance"] * camera.rotation[2])
-    assert np.max(record["ground"]["heights"]) <= camera.position[2]
+    assert record["ground"] <= camera.position[2]
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((2, 3), np.nan), np.zeros((1, 3)),
@@ -152,19 +152,5 @@ def test_the_reader_looks_where_photos_looked(cameras, first, low, high):
                          ids=["none", "not finite", "one", "largest"])
 def test_limits_are_finite_for_every_model(points):
     record = view_record(Camera.looking_at((0, 0, 0), (0, -10, 5)), UP, points)
-    limits = record["ground"]
-    assert np.isfinite([record["reach"], *record["pitches"], *record["middle"], *limits["low"],
-                        *limits["step"], *np.ravel(limits["heights"])]).all()
-
-
-def test_the_reader_stays_above_a_slope():
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-50, 50, (20_000, 3))
-    points[:, 2] = 0.8 * points[:, 0]
-    record = view_record(Camera.looking_at((0, 0, 0), (0, -100, 100)), UP, points)
-    limits = record["ground"]
-    axes, heights = np.array(limits["axes"]), np.array(limits["heights"])
-    assert np.allclose(axes @ axes.T, np.eye(2)) and np.allclose(axes @ UP, 0)
-    cells = np.stack(np.indices(heights.shape), axis=-1) * limits["step"] + limits["low"]
-    slope = 0.8 * (cells @ axes)[..., 0]
-    assert np.abs(heights - slope).max() < 0.05 * np.ptp(points[:, 2])
+    assert np.isfinite([record["reach"], *record["pitches"], *record["middle"],
+                        record["ground"]]).all()

@@ -265,7 +265,7 @@ def test_the_reader_stays_where_photos_looked(tmp_path, city):
       const { middle, reach, pitches } = camera.view;
       const height = () => camera.position.reduce((sum, x, k) => sum + x * camera.up[k], 0);
       const away = () => Math.hypot(...camera.position.map((x, k) => x - middle[k]));
-      const inside = () => height() >= camera.ground(camera.position) - 1e-3
+      const inside = () => height() >= camera.view.ground - 1e-3
         && away() <= reach * 1.01 && camera.pitch >= pitches[0] - 1e-9
         && camera.pitch <= pitches[1] + 1e-9;
       const moves = {

@@ -103,17 +103,7 @@ class ReaderCamera {
     const { middle, reach } = this.view;
     const away = plus(wanted, middle, -1), length = Math.hypot(...away);
     const near = length > reach ? plus(middle, away, reach / length) : wanted;
-    this.position = plus(near, this.up, Math.max(0, this.ground(near) - dot(near, this.up)));
-  }
-
-  // The lowest height above or below a place, between those of the four nearest cells.
-  ground(place) {
-    const { axes, low, step, heights } = this.view.ground, last = heights.length - 1;
-    const [x, y] = axes.map((axis, i) => clamped((dot(axis, place) - low[i]) / step[i], 0, last));
-    const at = (value, share) => value[0] * (1 - share) + value[1] * share;
-    const row = Math.min(Math.floor(x), last - 1), column = Math.min(Math.floor(y), last - 1);
-    return at([row, row + 1].map((each) => at(heights[each].slice(column, column + 2), y - column)),
-              x - row);
+    this.position = plus(near, this.up, Math.max(0, this.view.ground - dot(near, this.up)));
   }
 
   // Turn towards a point, which becomes the centre.
