@@ -65,14 +65,11 @@ def trained_scene(source: Path, output: Path, quiet: bool, overwrite: bool | Non
     overwrite : whether the training may replace a run, which is checked before a scene is made,
         since that takes long; None: it continues runs.
     """
-    from clsplat.sfm.photos import has_photos, is_video
-    if not is_video(source):
-        if not has_photos(source):
-            return source
-        from clsplat.io.scenes.read import is_scene
-        if is_scene(source):
-            return source
     from clsplat.io.runs.run import RunFolder
+    from clsplat.io.scenes.read import is_scene
+    from clsplat.sfm.photos import has_photos, is_video
+    if not is_video(source) and (not has_photos(source) or is_scene(source)):
+        return source
     from clsplat.sfm.reconstruct import SfmOptions, is_finished
     scene = output.with_name(f"{output.name}_scene")
     if is_finished(scene, source):
