@@ -72,8 +72,7 @@ def camera_of(number: int, source: SourceCamera) -> pycolmap.Camera:
         number, source.model, source.focal, source.width, source.height)
     camera.has_prior_focal_length = source.focal_known
     if source.calibration is not None:
-        camera.params = [*source.calibration.focal, *source.calibration.centre,
-                         *source.calibration.distortion[:4]]
+        camera.params = list(source.calibration)
     return camera
 
 

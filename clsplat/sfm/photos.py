@@ -198,7 +198,7 @@ def _camera(photos: list[SourcePhoto], rows: list[int], model: str) -> SourceCam
     focals = sorted(value for row in rows if (value := photos[row].metadata.focal_pixels))
     focal = focals[len(focals) // 2] if focals else DEFAULT_FOCAL * max(data.width, data.height)
     if calibration is not None:
-        model, focal = "OPENCV", sum(calibration.focal) / 2
+        model, focal = "OPENCV", sum(calibration[:2]) / 2
     elif not model:
         model = "OPENCV" if len(rows) >= LEAST_FOR_OPENCV else "SIMPLE_RADIAL"
     return SourceCamera(model, data.width, data.height, focal,

@@ -23,7 +23,7 @@ from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction, turned
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.photos.masks import MASKS
-from clsplat.io.photos.photo import common_levels, levels_note
+from clsplat.io.photos.photo import common_levels
 from clsplat.io.records import object_of, plain, read_object, write_object
 from clsplat.io.regular import read_regular
 from clsplat.io.scenes.colmap import write_reconstruction
@@ -228,10 +228,9 @@ def _photos(source: Path, options: SfmOptions, progress: Progress
     masked = sum(photo.mask is not None for photo in photos)
     if masked:
         progress.message(f"{masked} of {len(photos)} photos have a mask: dark pixels are not used")
-    levels = common_levels([photo.path for photo in photos],
-                           [photo.metadata.is_deep for photo in photos])
-    note = levels_note(levels)
-    if note:
+    levels, notes = common_levels([photo.path for photo in photos],
+                                  [photo.metadata.is_deep for photo in photos])
+    for note in notes:
         progress.message(note)
     return [replace(photo, levels=each) for photo, each in zip(photos, levels)], refused
 

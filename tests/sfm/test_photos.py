@@ -4,7 +4,6 @@
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.photos.metadata import Calibration
 from clsplat.sfm.photos import cameras_of, find_photos
 from tests.sfm.cases import folder_of, source
 
@@ -79,6 +78,6 @@ def test_photos_without_metadata_share_the_camera_of_their_folder():
 
 
 def test_the_makers_calibration_counts_first():
-    known = Calibration((60, 58), (31, 26), (-0.4, 0.3, 0.01, 0.02, -0.2))
+    known = (60.0, 58.0, 31.0, 26.0, -0.4, 0.3, 0.01, 0.02)
     camera, = cameras_of([source(camera="DJI", calibration=known, focal_pixels=70.0)])
     assert (camera.model, camera.focal, camera.calibration) == ("OPENCV", 59, known)

@@ -24,21 +24,7 @@ XMP_BYTES = 1 << 18  # from the beginning of a file, among which XMP is
 GPS_STD = ([f"{DJI}RtkStd{axis}" for axis in ("Lon", "Lat", "Hgt")],
            [f"Camera:GPS{axis}Accuracy" for axis in ("XY", "XY", "Z")])
 QUARTERS = {3: 2, 6: 1, 8: 3}  # EXIF orientation -> clockwise quarter turns
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """The maker's calibration of a camera, in COLMAP's model FULL_OPENCV with k4 = k5 = k6 = 0.
-
-    Attributes
-    ----------
-    focal, centre : (x, y), pixels of the photo as stored.
-    distortion : k1, k2, p1, p2, k3.
-    """
-
-    focal: tuple[float, float]
-    centre: tuple[float, float]
-    distortion: tuple[float, float, float, float, float]
+Calibration = tuple[float, ...]  # fx, fy, cx, cy, pixels, and k1, k2, p1, p2, as COLMAP's OPENCV
 
 
 @dataclass(frozen=True)
@@ -52,7 +38,7 @@ class PhotoMetadata:
     camera : make, model and serial number of the body, "" if unknown.
     lens : name and focal length, "" if unknown.
     focal_pixels : focal length in pixels of the photo as stored, an estimate.
-    calibration : by the maker, for photos whose distortion is not corrected.
+    calibration : by the maker, of the photo as stored, if its distortion is not corrected.
     latitude, longitude : degrees, WGS 84, positive to the north and east; both or neither.
     altitude : metres above sea level; often wrong by tens of metres, or above something else.
     above_ellipsoid : whether the altitude is above the ellipsoid, by the file.
@@ -217,6 +203,4 @@ def _calibration(photo: Photo) -> Calibration | None:
     if not (0.1 * size < min(focal_x, focal_y) and max(focal_x, focal_y) < 100 * size
             and max(abs(x), abs(y)) < 0.2 * size and max(map(abs, values[4:])) < 10):
         return None
-    k1, k2, p1, p2, k3 = values[4:]
-    return Calibration((focal_x, focal_y), (photo.width / 2 + x, photo.height / 2 + y),
-                       (k1, k2, p1, p2, k3))
+    return focal_x, focal_y, photo.width / 2 + x, photo.height / 2 + y, *values[4:8]

@@ -190,9 +190,10 @@ def first_channel(path: Path) -> NDArray[Any]:
         return _whole(name, image, pixels)[..., 0]
 
 
-def common_levels(sources: Sequence[Source], deep: Sequence[bool]) -> list[Levels | None]:
+def common_levels(sources: Sequence[Source], deep: Sequence[bool]
+                  ) -> tuple[list[Levels | None], list[str]]:
     """For each photo the lowest and the greatest sample that count in the whole set, so that a
-    surface keeps its grey from view to view; None for those that are read as they are.
+    surface keeps its grey from view to view; None for those that are read as they are. And notes.
 
     Temperatures of a thermal camera fill a hundredth of what 16 bits hold: divided by 257, they
     would be four levels of grey.
@@ -207,17 +208,11 @@ def common_levels(sources: Sequence[Source], deep: Sequence[bool]) -> list[Level
         with opened(source) as photo:
             ends.append(np.percentile(photo.samples(), SHARES))
     low, high = (float(np.min(ends)), float(np.max(ends))) if ends else (0.0, 0.0)
-    is_narrow = 0 < high - low < 257 * FEWEST_STEPS
-    return [(low, high) if is_deep and is_narrow else None for is_deep in deep]
-
-
-def levels_note(levels: Sequence[Levels | None]) -> str:
-    """A line for the user on photos that are stretched; "" if none is."""
-    known = [each for each in levels if each]
-    if not known:
-        return ""
-    return (f"{len(known)} of {len(levels)} photos are grey with 16 bits, of which they use "
-            f"{known[0][0]:.0f} to {known[0][1]:.0f}: all are stretched alike to 8 bits")
+    if not 0 < high - low < 257 * FEWEST_STEPS:
+        return [None] * len(deep), []
+    return [(low, high) if is_deep else None for is_deep in deep], [
+        f"{len(read)} of {len(deep)} photos are grey with 16 bits, of which they use {low:.0f} to "
+        f"{high:.0f}: all are stretched alike to 8 bits"]
 
 
 @contextmanager

@@ -7,13 +7,14 @@ kernel blurs: docs/evidence/photos.md has figures.
 
 import itertools
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 BAND_BYTES = 1 << 22  # of the rows that are in memory at once, as 8-bit samples
+Part = tuple[slice, slice]  # rows and columns of an image
+Patch = tuple[Part, NDArray[np.bool_], Part, csr_matrix]
 PATCH_SIDE = 192  # pixels: what is computed for a patch stays in the cache
 TAPS = np.arange(-1, 3, dtype=np.int32)  # from the pixel at the left of a place, or above it
 
@@ -98,26 +99,11 @@ def _coverage(old: int, new: int) -> csr_matrix:
                       shape=(new, old))
 
 
-class Patch(NamedTuple):
-    """Weights for a part of the interpolated image.
-
-    Attributes
-    ----------
-    part : rows and columns of the result.
-    shown : bool[n, m], which pixels of the part have a place.
-    source : rows and columns of the image on which they depend, R of them.
-    weights : float32[S, R], for the S pixels that are shown.
-    """
-
-    part: tuple[slice, slice]
-    shown: NDArray[np.bool_]
-    source: tuple[slice, slice]
-    weights: csr_matrix
-
-
 def patches(places: NDArray[np.float32], size: tuple[int, int], round_trip: bool = False
             ) -> Iterator[Patch]:
-    """Yield the weights of the interpolated image, except for patches without a place.
+    """Yield the weights of the interpolated image, except for patches without a place: rows and
+    columns of the result, bool[n, m] which of its pixels have a place, R rows and columns of the
+    image on which they depend, and weights float32[S, R] of the S pixels that have a place.
 
     Pixels beyond the border are those of the border.
 
@@ -141,7 +127,7 @@ def patches(places: NDArray[np.float32], size: tuple[int, int], round_trip: bool
         indices = ((rows - low[1]) * (high[0] - low[0]))[:, :, None] + (columns - low[0])[:, None]
         weights = _kernel(y - row)[:, :, None] * _kernel(x - column)[:, None]
         begins = np.arange(0, indices.size + 1, len(TAPS) ** 2)
-        yield Patch(part, shown, (slice(low[1], high[1]), slice(low[0], high[0])), csr_matrix(
+        yield (part, shown, (slice(low[1], high[1]), slice(low[0], high[0])), csr_matrix(
             (weights.ravel(), indices.ravel(), begins),
             shape=(len(x), (high[1] - low[1]) * (high[0] - low[0]))))
 

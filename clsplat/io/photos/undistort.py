@@ -38,9 +38,9 @@ def undistorted_photo(view: View, pixels: NDArray[np.float32]) -> NDArray[np.uin
     3], black where the stored photo does not show it."""
     stored = read_image(view.source, levels=view.levels)
     photo = np.zeros((*pixels.shape[1:], 3), np.uint8)
-    for patch in _patches(view.lens, stored.shape, pixels):
-        source = stored[patch.source].reshape(-1, 3).astype(np.float32)
-        photo[patch.part][patch.shown] = np.clip(patch.weights @ source, 0, 255) + np.float32(0.5)
+    for part, shown, source, weights in _patches(view.lens, stored.shape, pixels):
+        colours = weights @ stored[source].reshape(-1, 3).astype(np.float32)
+        photo[part][shown] = np.clip(colours, 0, 255) + np.float32(0.5)
     return photo
 
 
@@ -50,9 +50,9 @@ def undistorted_valid(view: View, pixels: NDArray[np.float32]) -> NDArray[np.boo
     valid = np.isfinite(pixels[0])
     for mask in stored_masks(view):
         mask = unmasked(mask, image_size(view.source))
-        for patch in _patches(view.lens, mask.shape, pixels):
-            masked = (~mask[patch.source]).ravel().astype(np.float32)
-            valid[patch.part][patch.shown] &= abs(patch.weights) @ masked == 0
+        for part, shown, source, weights in _patches(view.lens, mask.shape, pixels):
+            masked = (~mask[source]).ravel().astype(np.float32)
+            valid[part][shown] &= abs(weights) @ masked == 0
     return None if valid.all() else valid
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from clsplat.camera import Lens
 from clsplat.errors import MOST_CHARACTERS, InputError
 from clsplat.io.photos.metadata import QUARTERS
-from clsplat.io.photos.photo import Photo, common_levels, levels_note, opened
+from clsplat.io.photos.photo import Photo, common_levels, opened
 from clsplat.scene import Scene, View
 
 # of files that may be photos; what they are follows from their content
@@ -64,9 +64,9 @@ def checked_photos(scene: Scene, smaller: Path | None = None) -> Scene:
     for view in scene.views:
         with opened(view.source) as photo:
             photos.append(photo)
-    levels = common_levels([view.source for view in scene.views],
-                           [photo.is_deep for photo in photos])
-    notes = [*scene.notes, *_notes(scene.views, photos), *filter(None, [levels_note(levels)])]
+    levels, deep = common_levels([view.source for view in scene.views],
+                                 [photo.is_deep for photo in photos])
+    notes = [*scene.notes, *_notes(scene.views, photos), *deep]
     factor = 1.0
     if smaller:
         factor = float(np.median([_stored_size(view)[0] / photo.width

@@ -11,8 +11,9 @@ from clsplat.io.photos.resample import patches
 def interpolated(image, places, round_trip=False):
     """[H, W] of an image [h, w]; 0 without a place."""
     result = np.zeros(places.shape[1:])
-    for patch in patches(places.astype(np.float32), image.shape[::-1], round_trip):
-        result[patch.part][patch.shown] = patch.weights @ image[patch.source].ravel()
+    for part, shown, source, weights in patches(places.astype(np.float32), image.shape[::-1],
+                                                round_trip):
+        result[part][shown] = weights @ image[source].ravel()
     return result
 
 

@@ -8,7 +8,7 @@ import tifffile
 from PIL import Image
 
 from clsplat.io.photos.metadata import read_metadata
-from clsplat.io.photos.photo import common_levels, levels_note
+from clsplat.io.photos.photo import common_levels
 from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
 from clsplat.io.scenes.write import write_scene as write
@@ -36,16 +36,16 @@ def folder(tmp_path):
 
 
 def levels_of(paths):
-    return common_levels(paths, [read_metadata(path).is_deep for path in paths])
+    return common_levels(paths, [read_metadata(path).is_deep for path in paths])[0]
 
 
 @needs_cases
 def test_case():
     photos, _ = find_photos(CASES / "photos_thermal_16bit")
-    levels = levels_of([photo.path for photo in photos])
+    levels, notes = common_levels([photo.path for photo in photos], 6 * [True])
     assert set(levels) == {(29097.0, 29705.0)}
-    assert levels_note(levels) == ("6 of 6 photos are grey with 16 bits, of which they use 29097 "
-                                   "to 29705: all are stretched alike to 8 bits")
+    assert notes == ["6 of 6 photos are grey with 16 bits, of which they use 29097 to 29705: all "
+                     "are stretched alike to 8 bits"]
 
 
 def test_a_scene_is_stretched_as_a_whole(folder):

@@ -121,8 +121,7 @@ def test_dji(tmp_path):
     assert (data.latitude, data.longitude) == (45.25, -7.5)
     assert data.altitude == pytest.approx(349.58)
     assert data.gps_std == pytest.approx((0.01, 0.02, 0.03))
-    assert data.calibration.focal == (60, 59) and data.calibration.centre == (31, 26)
-    assert data.calibration.distortion == (-0.4, 0.3, 0.01, 0.02, -0.2)
+    assert data.calibration == (60, 59, 31, 26, -0.4, 0.3, 0.01, 0.02)
 
 
 @pytest.mark.parametrize("change", [
