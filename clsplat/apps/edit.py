@@ -3,9 +3,10 @@ and the boxes and polygons that the user gives in their coordinates."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +18,20 @@ from clsplat.edit.transform import transformed
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run, shown
 from clsplat.gaussians import Gaussians
+from clsplat.io.fields import numbers, reading, table
 from clsplat.io.georeference.crs import conversion
-from clsplat.io.georeference.geojson import DEGREES, read_polygons
 from clsplat.io.models.formats import read_with_notes
 from clsplat.io.models.values import Notes, mode_comment
+from clsplat.io.records import object_of
+from clsplat.io.regular import read_regular
 from clsplat.io.scenes.read import read_scene
 from clsplat.partition.region import map_axes
 
 GEOJSON = (".geojson", ".json")
+DEGREES = "OGC:CRS84"  # longitude and latitude, which RFC 7946 prescribes
+MEMBERS = {"FeatureCollection": "features", "GeometryCollection": "geometries"}
+OTHERS = ("Point", "MultiPoint", "LineString", "MultiLineString")
+Polygon = list[NDArray[np.float64]]  # the outline and the holes, [K, 2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,3 +170,46 @@ def _corners(text: str) -> NDArray[np.float64]:
         raise InputError(f"--polygon {text[:60]}: expects at least three corners such as "
                          "\"0,0 10,0 10,10\", or a GeoJSON file")
     return corners
+
+
+def read_polygons(path: str | Path) -> tuple[list[Polygon], str]:
+    """Read the polygons of a GeoJSON file (RFC 7946, and older ones that name their CRS), and that
+    CRS, "" without one; geometries of other kinds are left out."""
+    with reading(path, "GeoJSON", "export the polygons again"):
+        record = object_of(read_regular(path))
+        polygons = list(_polygons(record))
+    if not polygons:
+        raise InputError(f"{path}: has no polygon; draw one, or give another file")
+    try:
+        crs = str(record["crs"]["properties"]["name"])  # of older files, as pyproj accepts it
+    except (KeyError, TypeError, IndexError):
+        crs = ""
+    return polygons, crs
+
+
+def _polygons(item: Any) -> Iterator[Polygon]:
+    """The polygons of a geometry, a feature or a collection."""
+    kind = table(item, "a feature or geometry").get("type")
+    if kind in MEMBERS:
+        for member in _list(item.get(MEMBERS[kind])):
+            yield from _polygons(member)
+    elif kind == "Feature":
+        if item.get("geometry") is not None:  # it may have no place
+            yield from _polygons(item["geometry"])
+    elif kind == "Polygon":
+        yield _rings(item.get("coordinates"))
+    elif kind == "MultiPolygon":
+        yield from map(_rings, _list(item.get("coordinates")))
+    elif kind not in OTHERS:
+        raise ValueError(f"type is {str(kind)[:20]!r}")
+
+
+def _rings(rings: Any) -> Polygon:
+    return [np.array([numbers(_list(corner, 2)[:2], 2, "a corner of a polygon")
+                      for corner in _list(ring, 3)]) for ring in _list(rings, 1)]
+
+
+def _list(values: Any, least: int = 0) -> list[Any]:
+    if not isinstance(values, list) or len(values) < least:
+        raise ValueError("a list is missing, or too short for a polygon")
+    return values

@@ -3,8 +3,8 @@ import json
 import numpy as np
 import pytest
 
+from clsplat.apps.edit import read_polygons
 from clsplat.errors import InputError
-from clsplat.io.georeference.geojson import read_polygons
 
 RING = [[0, 0], [4, 0, 7.5], [4, 4], [0, 0]]
 
