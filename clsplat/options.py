@@ -9,7 +9,7 @@ from typing import Any
 
 from clsplat.config import option as declared
 from clsplat.config import toml
-from clsplat.config.option import AUTO, MOST_STEPS, option, options_of, shown_name
+from clsplat.config.option import AUTO, MOST_STEPS, is_auto, option, options_of, shown_name
 from clsplat.densify.options import GrowthOptions
 from clsplat.errors import InputError
 from clsplat.io.scenes.options import SceneOptions
@@ -29,7 +29,7 @@ from clsplat.schedule.mcmc import McmcOptions
 from clsplat.schedule.registry import OURS, others, schedule_of
 from clsplat.schedule.registry import REGISTERED as SCHEDULES
 from clsplat.schedule.sig import SigOptions
-from clsplat.schedule.steps import PUBLISHED_LENGTH, chooses_steps
+from clsplat.schedule.steps import PUBLISHED_LENGTH
 from clsplat.schedule.taming import TamingOptions
 
 MOST_SECONDS = 366 * 24 * 3600.0  # in a time budget
@@ -84,9 +84,6 @@ class RunOptions:
     eval_every: int = option(AUTO, "Run", "steps between evaluations on the held-out views; auto: "
                              "eight evaluations, fewer where they are slow; end: only at the end",
                              affects="time", main=True, words={AUTO: AUTO, "end": 0}, minimum=1)
-    lpips: str = option("", "Run", "ONNX file of an LPIPS network, by which the finished model is "
-                        "compared with the held-out photos as well; needs `pip install "
-                        "onnxruntime`", affects="nothing", words={"none": ""})
     coarse: bool = option(False, "Run", "train the coarse model of a city: photos at half size, "
                           "unless -r says otherwise", sets={True: {
                               "downscale": 2.0,
@@ -132,7 +129,7 @@ class TrainOptions(PoseOptions, DepthOptions, RobustOptions, ExposureOptions, Re
             every = self.test_every or "none"
             raise InputError(f"--test-offset {self.test_offset}: must be less than --test-every, "
                              f"which is {every}")
-        steps = self.iterations if chooses_steps(self) else PUBLISHED_LENGTH
+        steps = PUBLISHED_LENGTH if is_auto(self.iterations) else self.iterations
         if steps * self.steps_scale > MOST_STEPS:
             raise InputError(f"--steps-scale {self.steps_scale:g}: turns {steps:,} "
                              f"steps into more than {MOST_STEPS:,}; give a smaller factor")

@@ -36,12 +36,7 @@ def train(scene: Scene | str | PathLike[str], options: TrainOptions | None = Non
 
     Parameters
     ----------
-    scene, options, output, device, parts, schedule, overwrite : as for `clsplat.Trainer`.
-    callbacks : functions that are called with each record, a dict with `event`, `iteration`,
-        `train_seconds`, `level` and `gaussians`. Every step has a record of event "step" with its
-        `loss`, `l1` and `ssim`, for which the host waits for the device. Other events are those of
-        metrics.jsonl: "plan", "level", "grow", "eval". A function that raises
-        `clsplat.StopTraining` ends the training after the step; `Run.resume` continues it.
+    scene, options, output, device, parts, schedule, overwrite, callbacks : as for Trainer.
 
     Returns
     -------
@@ -51,16 +46,15 @@ def train(scene: Scene | str | PathLike[str], options: TrainOptions | None = Non
     ------
     clsplat.ClsplatError : if the scene, an option or the folder cannot be used.
     """
-    data, chosen, opened = opened_training(scene, options, device, schedule)
-    folder = folder_of(output)
-    with RunFolder(folder).locked():
-        run = RunFolder.create(folder, overwrite=overwrite)
-        try:
-            loop.train(data, chosen, opened, run, callbacks=callbacks, parts=parts)
-        except Interrupted as error:
-            if not error.planned:
-                raise
-    return Run(run)
+    trainer = Trainer(scene, options, output=output, device=device, parts=parts, schedule=schedule,
+                      overwrite=overwrite, callbacks=callbacks)
+    try:
+        with trainer._training.resumable():
+            trainer._end()
+    except Interrupted as error:
+        if not error.planned:
+            raise
+    return trainer.run
 
 
 class Trainer:
@@ -80,6 +74,11 @@ class Trainer:
         options ask for; one with the name of another takes its place.
     schedule : a class that decides levels and growth; None: the one that the options name.
     overwrite : whether a run in the folder is replaced.
+    callbacks : functions that are called with each record, a dict with `event`, `iteration`,
+        `train_seconds`, `level` and `gaussians`. Every step has a record of event "step" with its
+        `loss`, `l1` and `ssim`, for which the host waits for the device. Other events are those of
+        metrics.jsonl: "plan", "level", "grow", "eval". A function that raises
+        `clsplat.StopTraining` ends the training after the step; `Run.resume` continues it.
 
     Attributes
     ----------
@@ -94,13 +93,15 @@ class Trainer:
     def __init__(self, scene: Scene | str | PathLike[str], options: TrainOptions | None = None, *,
                  output: str | PathLike[str] | None = None, device: Device | None = None,
                  parts: Iterable[Part] = (), schedule: type[Schedule] | None = None,
-                 overwrite: bool = False) -> None:
+                 overwrite: bool = False,
+                 callbacks: Iterable[Callable[[dict[str, Any]], object]] = ()) -> None:
         data, chosen, opened = opened_training(scene, options, device, schedule)
         folder = folder_of(output)
         with ExitStack() as opening:
             opening.enter_context(RunFolder(folder).locked())
             run = RunFolder.create(folder, overwrite=overwrite)
-            self._training = loop.Training(data, chosen, opened, run, parts=parts)
+            self._training = loop.Training(data, chosen, opened, run, parts=parts,
+                                           callbacks=callbacks)
             opening.callback(self._training.session.photos.close)
             self._training.record()
             self._open = opening.pop_all()

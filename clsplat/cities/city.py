@@ -17,7 +17,6 @@ from clsplat.config.option import AUTO, differences
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
-from clsplat.evaluation.views import final_metrics
 from clsplat.gaussians import Gaussians
 from clsplat.io.folders import make_folder
 from clsplat.io.models.ply import read_ply, write_ply
@@ -104,13 +103,12 @@ class City:
     def begin(self) -> None:
         """Write the scene and the options of the whole into city.json.
 
-        InputError for a folder of another scene or with other options, for a network of
-        `options.lpips` that cannot be read, and for options that correct poses."""
+        InputError for a folder of another scene or with other options, and for options that correct
+        poses."""
         folder, options = self.folder, self.options
         if options.poses == "on":
             raise InputError("--poses on: is for single runs; the blocks of a city would correct "
                              "the same poses differently, so leave it out")
-        final_metrics(options.lpips)  # a network that cannot be read is refused before the work
         record = {**scene_record(self.scene.path, folder.path),
                   "fingerprint": fingerprint(self.scene), "options": dataclasses.asdict(options)}
         if folder.has_record:
@@ -173,7 +171,7 @@ def coarse_options(city: City, joint: bool = False) -> TrainOptions:
         options, coarse=True, init=AUTO,
         downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
-        iterations=max(1, int(share * one_run)), eval_at=(), eval_every=0, lpips="")
+        iterations=max(1, int(share * one_run)), eval_at=(), eval_every=0)
 
 
 def _options_before(run: Run) -> TrainOptions:

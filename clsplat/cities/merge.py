@@ -31,7 +31,7 @@ from clsplat.cities.seams import find_seams
 from clsplat.cities.tree import TreeBuilder
 from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.evaluation.run import Run
-from clsplat.evaluation.views import evaluate_run, final_metrics, training_pictures
+from clsplat.evaluation.views import evaluate_run, training_pictures
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.georeference.files import placement_comments, write_placement
@@ -310,7 +310,7 @@ def evaluate_city(city: City, merged: Merged, against: Path | None = None
     train, test = scene.split(options.test_every, options.test_offset)
     if test:
         scores = evaluate_run(run, city.device, save_images=False,
-                              metrics=final_metrics(options.lpips), gaussians=merged.gaussians)
+                              gaussians=merged.gaussians)
         run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
                                                      if key not in ("per_view", "pictures")}})
     partition = folder.partition(scene)

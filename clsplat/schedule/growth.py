@@ -69,13 +69,8 @@ class Round(Protocol):
         """float[N], the scores of Taming 3DGS, at least 0."""
 
     def room(self, target: int | None, count: int) -> int | None:
-        """How many gaussians may be added; None: any number.
-
-        Parameters
-        ----------
-        target : up to how many trained ones the model may grow; None: to any number.
-        count : trained ones that stay.
-        """
+        """How many gaussians may be added to `count` trained ones that stay, up to a `target` of
+        trained ones; None: any number."""
 
     def above_threshold(self, room: int | None = None) -> Mask:
         """bool[N]: those whose gradient reaches `grow_threshold`, at most `room` (3DGS)."""
@@ -91,19 +86,12 @@ class Round(Protocol):
         """bool[N]: half of `prunes`, drawn by how low their scores are (Taming 3DGS)."""
 
     def densify(self, grows: Mask, prunes: Mask | None = None) -> Growth:
-        """Clone the small ones among some gaussians, and split the others in two.
+        """Clone the small ones among the gaussians that grow, and split the others in two.
 
-        Parameters
-        ----------
-        grows : bool[N], those that grow.
-        prunes : bool[N], those that are removed; one that is too large may still be split, if its
-            children are small enough. None: `prunes` of the round.
+        `grows` and `prunes` (None: those of the round) are bool[N]. One that is removed as too
+        large may still be split, if its children are small enough.
         """
 
     def relocate(self, added: int) -> Growth:
-        """Make copies of live gaussians, in place of transparent ones and beside them.
-
-        Parameters
-        ----------
-        added : by how many the model grows.
+        """Make copies of live gaussians, in place of transparent ones and, `added` of them, beside.
         """

@@ -97,6 +97,9 @@ class Schedule:
     A subclass in another package becomes `--schedule NAME` by the entry point `NAME = MODULE:CLASS`
     in the group `clsplat.schedules`; docs/examples/halves.py is a complete one.
 
+    In its methods, `options` are those of the training, `facts` what was measured of the scene,
+    `photos` the number of training photos, and `iteration` is the number of a step, from 1.
+
     Attributes
     ----------
     levels : all down-sampling factors, in the order in which they come.
@@ -111,7 +114,7 @@ class Schedule:
         threshold; for forecasts.
     observe_every : steps between calls of `observe`.
     latest : values of the last `observe`, which metrics.jsonl records.
-    options : with scaled steps; a time budget replaces them between steps, as it moves the end.
+    options : of the training; a time budget replaces them between steps, as it moves the end.
     facts : what is known about the scene.
     """
 
@@ -141,66 +144,33 @@ class Schedule:
     @classmethod
     def planned_levels(cls, options: ScheduledOptions, facts: SceneFacts
                        ) -> tuple[tuple[float, ...] | None, str]:
-        """Say before training which levels will come.
-
-        Parameters
-        ----------
-        options : with scaled steps.
-        facts : about the scene.
-
-        Returns
-        -------
-        (the levels, or None if they are known only in training; a sentence for the user).
-        """
+        """(The levels that will come, or None if they are known only in training; a sentence for
+        the user)."""
         return cls.levels, f"{listed(cls.levels)}: {sizes_text(cls.levels, facts.size)}"
 
     @classmethod
     def planned_limit(cls, options: ScheduledOptions, facts: SceneFacts) -> tuple[int | None, str]:
         """(Limit, sentence for the user): up to how many gaussians the model may grow at the finest
-        level; None where the schedule has no limit.
-
-        Parameters
-        ----------
-        options : those of the training.
-        facts : what was measured of the scene.
-        """
+        level; None where the schedule has no limit."""
         return None, "none: the schedule has no limit"
 
     @classmethod
     def most_steps(cls, options: ScheduledOptions, facts: SceneFacts, photos: int
                    ) -> tuple[int, str]:
         """(Number, clause with the reason): the most steps that are worth taking, whatever the
-        options ask for, before `steps_scale`; 0: any number.
-
-        Parameters
-        ----------
-        options : as the user gave them.
-        facts : what was measured of the scene.
-        photos : number of training photos.
-        """
+        options ask for; 0: any number."""
         return 0, ""
 
     @classmethod
     def options_of_block(cls, options: ScheduledOptions, size: tuple[int, int], facts: SceneFacts
                          ) -> dict[str, Any]:
         """{option: value} that differ from `options` in a block of a city, which starts from a
-        coarse run.
-
-        Parameters
-        ----------
-        options : of the whole, with the steps of the block.
-        size : (width, height) of the block's smallest training image, pixels.
-        facts : about the scene of the whole.
-        """
+        coarse run and takes as many steps as these; `facts` are about the whole, and `size` is
+        (width, height) of the block's smallest training image, pixels."""
         return {}
 
     def plan(self, iteration: int) -> Plan:
-        """Decide one step; called before each step, in order.
-
-        Parameters
-        ----------
-        iteration : number of the step, from 1 to `options.iterations`.
-        """
+        """Decide one step; called before each step, in order."""
         raise NotImplementedError
 
     def grow(self, round: Round) -> Growth:
@@ -209,11 +179,8 @@ class Schedule:
         This is the rule of 3DGS: of the gaussians whose screen gradient reaches the threshold,
         small ones are cloned and large ones split, those of the highest gradients first if `target`
         limits the round. Another rule makes another choice and returns `round.densify(choice)`, or
-        `round.relocate(number)`.
-
-        Parameters
-        ----------
-        round : what is measured of the gaussians, and what can be made of them.
+        `round.relocate(number)`. `round` has what is measured of the gaussians, and what can be
+        made of them.
         """
         room = self.room(round, round.prunes)
         if room is not None:  # a split replaces a gaussian that is too large by two
@@ -222,32 +189,16 @@ class Schedule:
 
     def room(self, round: Round, prunes: NDArray[np.bool_]) -> int | None:
         """How many gaussians a round may add by `target` and the option `max_gaussians`; None: any
-        number.
-
-        Parameters
-        ----------
-        round : the round.
-        prunes : bool[N], the gaussians that it removes.
-        """
+        number. `prunes` is bool[N], the gaussians that it removes."""
         counted = ~prunes & ~round.frozen
         count = int(counted.sum())
         above = int((counted & round.above_threshold()).sum())
         return round.room(self.target(round.iteration, count, above), count)
 
     def target(self, iteration: int, count: int, above: int) -> int | None:
-        """Limit a round of growth; called once in each round, by `room`.
-
-        Parameters
-        ----------
-        iteration : number of the step before the round, from 1.
-        count : gaussians that this round's pruning leaves.
-        above : how many of them exceed the growth threshold.
-
-        Returns
-        -------
-        The number of gaussians that the round may reach, or None for no limit: all that exceed the
-        threshold grow.
-        """
+        """The number of gaussians that the round after step `iteration` may reach; None: all that
+        exceed the growth threshold grow. Called once in each round, by `room`; `count` gaussians
+        are left by its pruning, and `above` of them exceed the threshold."""
         return None
 
     def ahead(self, iteration: int) -> list[tuple[float, float]]:
@@ -261,15 +212,8 @@ class Schedule:
         """Take note of the scene frequency; called every `observe_every` steps, after the step.
 
         A schedule that follows the frequency changes its own state here, for the next `plan`.
-
-        Parameters
-        ----------
-        iteration : number of the step that was taken last, from 1.
-        frequency : variant -> scene frequency, 1 / world unit (`training.frequency`).
-
-        Returns
-        -------
-        Values of a "level" record in metrics.jsonl, or None if nothing was decided.
+        `frequency` is variant -> scene frequency, 1 / world unit (`training.frequency`). Returns
+        values of a "level" record in metrics.jsonl, or None if nothing was decided.
         """
         return None
 

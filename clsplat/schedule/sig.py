@@ -143,13 +143,19 @@ class Sig(Schedule):
     @classmethod
     def most_steps(cls, options: "ScheduledOptions", facts: SceneFacts, photos: int
                    ) -> tuple[int, str]:
-        most = most_steps(options, facts, photos)
-        if not most:
-            return 0, ""
+        """Held-out photos get worse after these, as gaussians then learn what the photos disagree
+        about. The mean over n photos of a place keeps 1 / sqrt(n) of their disagreement."""
+        visits: str | float = options.visits
+        if isinstance(visits, float):
+            return (max(1, round(visits * photos)) if visits else 0,
+                    f"for {photos:,} training photos, --visits {visits:g}")
+        shown_in = USUAL_PHOTOS if math.isnan(facts.shown_in) else facts.shown_in
+        left = facts.disagreement() * math.sqrt(USUAL_PHOTOS / shown_in)
+        share = (AGREEING / left) ** POWER if left > AGREEING else 1.0  # 1 for a nan
+        most = max(FEWEST, FEWEST_A_PHOTO * photos,
+                   round(share * max(ENOUGH, MOST_A_PHOTO * photos)))
         shown = f", and {facts.shown_in:.1f} show one" if facts.shown_in > 0 else ""
-        why = (f"--visits {options.visits:g}" if isinstance(options.visits, float)
-               else f"{facts.differing()}{shown}")
-        return most, f"for {photos:,} training photos, {why}"
+        return most, f"for {photos:,} training photos, {facts.differing()}{shown}"
 
     @classmethod
     def options_of_block(cls, options: "ScheduledOptions", size: tuple[int, int], facts: SceneFacts
@@ -361,18 +367,3 @@ def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
             shares[0] * options.iterations < LEAST_STEPS):
         levels = levels[1:]
     return levels
-
-
-def most_steps(options: "ScheduledOptions", facts: SceneFacts, photos: int) -> int:
-    """The most steps that are worth taking with so many training photos; 0: any number.
-
-    Held-out photos get worse after these, as gaussians then learn what the photos disagree about.
-    The mean over n photos of a place keeps 1 / sqrt(n) of their disagreement.
-    """
-    requested: str | float = options.visits
-    if isinstance(requested, float):
-        return max(1, round(requested * photos)) if requested else 0
-    shown_in = USUAL_PHOTOS if math.isnan(facts.shown_in) else facts.shown_in
-    left = facts.disagreement() * math.sqrt(USUAL_PHOTOS / shown_in)
-    share = (AGREEING / left) ** POWER if left > AGREEING else 1.0  # 1 for a nan
-    return max(FEWEST, FEWEST_A_PHOTO * photos, round(share * max(ENOUGH, MOST_A_PHOTO * photos)))

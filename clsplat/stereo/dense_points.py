@@ -97,21 +97,13 @@ def dense_points(device: Device, scene: Scene, views: Sequence[View],
                  progress: Callable[[int], object] = lambda done: None,
                  sources: Sequence[Sequence[int]] | None = None
                  ) -> tuple[Floats, NDArray[np.uint8]]:
-    """Points of a scene with their colours, the sparse points among them.
+    """Points of a scene, float64[N, 3], world, with colours, uint8[N, 3]; the sparse points are
+    among them.
 
-    Parameters
-    ----------
-    device : which sweeps.
-    scene : with sparse points.
-    views : of the scene, with cameras of the size of `photos`.
-    photos : of the views, uint8[3, h, w], or uint8[4, h, w] with a mask.
-    most : as many points are wanted; there are fewer where photos show fewer or are too small.
-    progress : called with the number of views that are done.
-    sources : `stereo_views` of the views, if they are known.
-
-    Returns
-    -------
-    float64[N, 3], world; uint8[N, 3].
+    `photos` are uint8[3, h, w] of the views, or uint8[4, h, w] with a mask, and the views' cameras
+    have their size. As many points as `most` are wanted; they are fewer if photos show fewer or
+    are too small. `progress` is called with the number of views that are done; `sources` are the
+    `stereo_views`, if they are known.
     """
     sources = sources or stereo_views(scene, views)
     seen = visibility(scene, views)

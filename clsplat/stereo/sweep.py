@@ -27,19 +27,12 @@ CONFIRM = Kernel(
 def sweep(images: Array, sizes: Array, cameras: Sequence[Camera], reference: int,
           sources: Sequence[int], inverse_depths: tuple[float, float], planes: int
           ) -> tuple[Array, Array]:
-    """The inverse depth of each pixel of one photo, and how alike its window looks in others.
+    """The inverse depth of each pixel of a reference, real[H, W], 1 / world unit, and how alike its
+    window looks in at least two sources, real[H, W], from -1 to 1; 0 where there is none.
 
-    Parameters
-    ----------
-    images : real[V, H, W], grey photos, 0 to 1; nan where a pixel does not count.
-    sizes : int[V, 2], (width, height) of each photo, at most W and H.
-    reference, sources : the photo whose depth is found, and at least two to compare it with.
-    inverse_depths : 1 / world unit, of the first and the last plane.
-    planes : how many, at least three.
-
-    Returns
-    -------
-    real[H, W], 1 / world unit, and real[H, W], from -1 to 1; 0 where there is none.
+    `images` are grey photos real[V, H, W], 0 to 1, nan where a pixel does not count, of `sizes`
+    int[V, 2] (width, height); `inverse_depths` are those of the first and the last of at least
+    three `planes`.
     """
     device, (_, height, width) = images.device, images.shape
     first, last = inverse_depths
@@ -56,10 +49,8 @@ def confirm(inverse_depths: Array, sizes: Array, cameras: Sequence[Camera], refe
             sources: Sequence[int], same_depth: float) -> Array:
     """How many sources have the depth of a pixel of the reference where it projects to, uint[H, W].
 
-    Parameters
-    ----------
-    inverse_depths : real[V, H, W], 1 / world unit, of each photo's pixels; 0 where there is none.
-    same_depth : relative difference below which depths are the same.
+    `inverse_depths` are real[V, H, W], 1 / world unit, of each photo's pixels, 0 where there is
+    none; depths are the same whose relative difference is below `same_depth`.
     """
     device, (_, height, width) = inverse_depths.device, inverse_depths.shape
     confirmed = device.empty((height, width), np.uint32)

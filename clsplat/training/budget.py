@@ -13,13 +13,12 @@ only if the time left allows the model to recover: measured on boruszyn (400 and
 
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from clsplat.config.option import is_auto
 from clsplat.errors import InputError
-from clsplat.evaluation.views import METRICS, Metric, evaluate_views
+from clsplat.evaluation.views import FINAL_METRICS, METRICS, evaluate_views
 from clsplat.options import seconds_of
 from clsplat.schedule import Plan
 from clsplat.training.model import checkpoint_bytes
@@ -38,11 +37,10 @@ EVALUATION_SHARE = 0.1  # of the budget at most
 MOST_OVERHEAD = 0.5  # share of the budget that all but training may take
 
 
-def evaluation_seconds(session: Session, final_metrics: Mapping[str, Metric]
-                       ) -> tuple[float, float]:
-    """Seconds of one evaluation, and how many more one with other metrics takes; measured."""
+def evaluation_seconds(session: Session) -> tuple[float, float]:
+    """Seconds of one evaluation, and how many more the last one takes; measured."""
     each, last, view = 0.0, 0.0, session.test_views[:1]
-    for metrics in (METRICS, METRICS, final_metrics) if view else ():  # the first compiles
+    for metrics in (METRICS, METRICS, FINAL_METRICS) if view else ():  # the first compiles
         begin = time.perf_counter()
         evaluate_views(session.renderer, session.model.rows, session.options.sh_degree, view,
                        metrics=metrics)

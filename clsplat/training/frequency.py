@@ -27,15 +27,8 @@ VALUES = Kernel("frequency.cl", "frequency_values", items("1"), **_MAXIMA,
 def scene_frequency(device: Device, rows: dict[str, Array],
                     unit: float = 1.0) -> dict[str, float]:
     """Compute nine scene frequencies, {"paper_mean": float, ...}, in 1 / world unit; waits.
+    `unit` is the world units per unit of the rows.
 
-    Parameters
-    ----------
-    device : of the rows.
-    rows : field name -> Array, of which log_scales real[N, 3] and opacity_logits real[N] are read.
-    unit : world units per unit of the rows.
-
-    Notes
-    -----
     Keys are a variant and an axis. Variants: `paper`, weighted by squared opacity and determinant
     (SIG, ICLR 2026); `release`, one over the mean sigma, as its released code; `robust`, ours, one
     over the mean sigma weighted by opacity, so that invisible gaussians do not count. Axis: a

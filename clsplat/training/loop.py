@@ -49,23 +49,12 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
           progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
           watcher: Watcher | None = None, on_save: OnSave | None = None,
           parts: Iterable[Part] = ()) -> None:
-    """Train a scene from the start.
+    """Train a scene from the start, in the folder of an empty `run`.
 
-    Parameters
-    ----------
-    scene, options : as they were given.
-    device : where it trains.
-    run : an empty folder.
-    progress : receives steps, messages and phases; None: only warnings are shown.
-    callbacks : called with every record; may raise StopTraining.
-    watcher : asked after every step.
-    on_save : called with every checkpoint that was written.
-    parts : parts besides those that the options ask for; one with the name of another takes its
-        place.
-
-    Raises
-    ------
-    Interrupted : on Ctrl-C, or where an option or a callback stops it; the state is saved.
+    `callbacks` are called with every record, and may raise StopTraining; the `watcher` is asked
+    after every step, and `on_save` is called with every checkpoint that was written. `parts` are
+    those besides what the options ask for; one with the name of another takes its place. Raises
+    Interrupted on Ctrl-C, or where an option or a callback stops it; the state is saved.
     """
     training = Training(scene, options, device, run, progress, callbacks=callbacks,
                         watcher=watcher, on_save=on_save, parts=parts)
@@ -85,13 +74,10 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
            progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
            watcher: Watcher | None = None, on_save: OnSave | None = None,
            saved: Saved | None = None, parts: Iterable[Part] = ()) -> None:
-    """Resume a run from its checkpoint, as if it had never stopped.
+    """Resume a run from its checkpoint, as if it had never stopped; arguments as for `train`.
 
-    Parameters
-    ----------
-    scene, options, device, run, progress, callbacks, watcher, on_save, parts : as for `train`.
-    saved : from which it goes on in place of the run's checkpoint, which is of the same step; its
-        arrays are dropped once they are on the device.
+    In place of the run's checkpoint it may go on from one that was `saved` at the same step, whose
+    arrays are dropped once they are on the device.
     """
     record, scene = run.read_options(), placed(scene, run.path)
     if record.get("fingerprint") != fingerprint(scene):
@@ -154,9 +140,8 @@ class Training:
                                      gaussians, run.path, level)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
-        self.deadline = Deadline(
-            self.session, self.clock, *evaluation_seconds(
-                self.session, self.evaluator.final_metrics)) if options.time_budget else None
+        self.deadline = Deadline(self.session, self.clock, *evaluation_seconds(self.session)
+                                 ) if options.time_budget else None
         self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline,
                                      fingerprint(scene))
         self._measured: list[Measured] = []  # by the latest step

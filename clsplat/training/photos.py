@@ -239,8 +239,8 @@ class Photos:
                         else budget_bytes)
         self._threads = ThreadPoolExecutor(1)
         self._ahead: dict[int, Future[Photo]] = {}
-        self._store: PhotoStore | None = None  # of a level that is not resident
-        self._next: tuple[float, PhotoStore] | None = None  # (level, its photos)
+        # level -> its photos: of this level, if it is not resident, and of the next
+        self._stores: dict[float, PhotoStore] = {}
         self.level = 0.0  # none yet
         # of views that are `weighed`, the cells whose pixels are left out besides those that do not
         # count anyway (parts/outlier_masks.py); None: none were looked for yet
@@ -257,44 +257,39 @@ class Photos:
         for pending in self._ahead.values():
             pending.cancel()
         self._ahead.clear()
+        store = self._stores.pop(level, None)
+        self._close_stores()
         self._arrays: list[Array] = []
-        self._close(self._store)
-        self._store = None
-        if self._next and self._next[0] == level:
-            self._store = self._next[1]
-        elif self._next:
-            self._close(self._next[1])
-        self._next = None
         if self.resident:
-            photos = (map(self._store.read, range(len(self.views))) if self._store
-                      else decoded(self.views))
+            photos = (map(store.read, range(len(self.views))) if store else decoded(self.views))
             self._arrays = [self.device.upload(photo) for photo in photos]
-            self._close(self._store)
-            self._store = None
-        elif self._store is None:
-            self._store = self._stored(self.views, THREADS, HOST_BYTES)
-            if first:
-                self._store.wait()
-                for _ in decoded(self.views[self._store.count:]):
-                    pass
+            if store:
+                store.close()
+        else:
+            if store is None:
+                store = self._stored(self.views, THREADS, HOST_BYTES)
+                if first:
+                    store.wait()
+                    for _ in decoded(self.views[store.count:]):
+                        pass
+            self._stores[level] = store
         if self.ignored is not None:
             self.ignore([resampled(cells, view.camera.height, view.camera.width)
                          for cells, view in zip(self.ignored, self.views)])
         self.read_seconds = time.perf_counter() - begin
-        following = [new for new in self._levels if new < level]
-        if following:
-            self._next = following[0], self._stored(
-                at_level(self._full, following[0]), THREADS_BESIDE, HOST_BYTES // 2)
+        for following in [new for new in self._levels if new < level][:1]:
+            self._stores[following] = self._stored(
+                at_level(self._full, following), THREADS_BESIDE, HOST_BYTES // 2)
 
     def _stored(self, views: Sequence[View], threads: int, budget: int) -> PhotoStore:
         return PhotoStore([math.prod(photo_array(view).shape) for view in views],
                           lambda index: decode(views[index]), _at_once(views, threads, budget),
                           self._folder)
 
-    @staticmethod
-    def _close(store: PhotoStore | None) -> None:
-        if store:
+    def _close_stores(self) -> None:
+        for store in self._stores.values():
             store.close()
+        self._stores.clear()
 
     def _nbytes(self) -> int:
         return sum(photo_array(view).nbytes(self.device.real) for view in self.views)
@@ -306,14 +301,14 @@ class Photos:
 
     def expect(self, index: int) -> None:
         """Begin to read a photo that will be used soon."""
-        if self._store and index not in self._ahead:
-            self._ahead[index] = self._threads.submit(self._store.read, index)
+        if index not in self._ahead and (store := self._stores.get(self.level)):
+            self._ahead[index] = self._threads.submit(store.read, index)
 
     def __getitem__(self, index: int) -> Array:
-        if not self._store:
+        if self.resident:
             return self._arrays[index]
         pending = self._ahead.pop(index, None)
-        photo = pending.result() if pending else self._store.read(index)
+        photo = pending.result() if pending else self._stores[self.level].read(index)
         if self.ignored is not None:
             _leave_out(photo[3], self.ignored[index])
         return self.device.upload(photo)
@@ -328,8 +323,8 @@ class Photos:
 
     def unweighed(self, index: int) -> Photo:
         """A view's photo as `decode` returns it, where pixels are left out by its own mask only."""
-        if self._store:
-            return self._store.read(index)
+        if not self.resident:
+            return self._stores[self.level].read(index)
         photo: Photo = self._arrays[index].download()
         photo[3] = _own_mask(self.views[index])
         return photo
@@ -337,8 +332,7 @@ class Photos:
     def close(self) -> None:
         """Stop reading ahead, and remove the files."""
         self._threads.shutdown(wait=False, cancel_futures=True)
-        self._close(self._store)
-        self._close(self._next[1] if self._next else None)
+        self._close_stores()
 
 
 def _own_mask(view: View) -> Photo:

@@ -10,7 +10,7 @@ import numpy as np
 from clsplat.config.option import is_auto
 from clsplat.device import Device
 from clsplat.errors import InputError, StopTraining
-from clsplat.evaluation.views import METRICS, evaluate_views, final_metrics
+from clsplat.evaluation.views import FINAL_METRICS, METRICS, evaluate_views
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.scores import disturbed, is_upheaval, main_key
 from clsplat.training.progress import SilentProgress
@@ -90,7 +90,7 @@ class Recorder:
         self.session, self.clock, self.run, self.progress = session, clock, run, progress
         self._callbacks, self.stop = tuple(callbacks), False
         self.failure: BaseException | None = None
-        self._upheavals: dict[str, int] = {}  # event that lowers the scores for a while -> step
+        self.upheavals: dict[str, int] = {}  # event that lowers the scores for a while -> step
 
     def _place(self) -> dict[str, Any]:
         """The keys of every record: where the training is."""
@@ -105,7 +105,7 @@ class Recorder:
                   "kernel_bytes": self.clock.moved(), **values}
         self.run.log(record)
         if is_upheaval(record):
-            self._upheavals[event] = self.session.iteration
+            self.upheavals[event] = self.session.iteration
         if event != "step":  # callbacks receive every step from `stepped`
             self._show(record)
 
@@ -166,18 +166,12 @@ class Recorder:
                                   "skipped_rows")
         return values
 
-    def note(self, result: dict[str, Any]) -> str:
-        """What to say of the scores of an evaluation besides: what lowered them, or more scores."""
-        return ", ".join(f"{name.upper()} {result[name]:.4f}" for name in ("flip", "lpips")
-                         if name in result) or disturbed(self._upheavals, self.session.iteration)
-
 
 class Evaluator:
     """Evaluates the held-out views of a session."""
 
     def __init__(self, session: Session, clock: Clock, recorder: Recorder) -> None:
         self.session, self.clock, self.recorder = session, clock, recorder
-        self.final_metrics = final_metrics(session.options.lpips)  # of the last, with more time
         self.evaluated_at: int | None = None  # step of the latest evaluation of the run
         self.per_view: list[dict[str, Any]] | None = None  # its scores, if this process made it
         self.latest_seconds = self._all_seconds = 0.0
@@ -195,7 +189,7 @@ class Evaluator:
 
     def evaluate(self, final: bool = False) -> None:
         """Evaluate and record the metrics, outside of training time, if any view is held out; the
-        last time by `final_metrics`."""
+        last time by FINAL_METRICS."""
         session, progress = self.session, self.recorder.progress
         if not session.test_views:
             return
@@ -205,7 +199,7 @@ class Evaluator:
             session.step.release()  # frames of evaluation have other sizes
             result = evaluate_views(session.renderer, session.model.current_rows(),
                                     session.options.sh_degree, session.test_views,
-                                    metrics=self.final_metrics if final else METRICS,
+                                    metrics=FINAL_METRICS if final else METRICS,
                                     predicted=session.predicted())
             session.device.trim()
         self.latest_seconds = time.perf_counter() - begin
@@ -224,9 +218,11 @@ class Evaluator:
                    + ", their colours fitted, as exposures are learned" * (key == "psnr_cc"))
             yield f"{'step':>7}{'PSNR, dB':>10}{'SSIM':>9}{'gaussians':>13}{'training':>11}"
         ssim = result[key.replace("psnr", "ssim")]
+        note = (f"FLIP {result['flip']:.4f}" if "flip" in result else
+                disturbed(self.recorder.upheavals, self.session.iteration))
         yield (f"{self.session.iteration:>7}{result[key]:>10.2f}{ssim:>9.4f}"
-               f"{self.session.model.count:>13,}{self.clock.trained():>9.1f} s  "
-               f"{self.recorder.note(result)}").rstrip()
+               f"{self.session.model.count:>13,}{self.clock.trained():>9.1f} s  {note}"
+               ).rstrip()
 
 
 def broken(run: RunFolder, what: str,

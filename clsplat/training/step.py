@@ -325,38 +325,36 @@ class Step:
 
 class SkippedGradients:
     """Counts the gradients of a run that are not finite, whose rows the device skips: rows of
-    gaussians (cl/project.cl) and of views (cl/exposure.cl). `counters` are uint[1] on the device,
-    modulo 2^32; `total` and `requested` are those of the whole run, at the last `poll`."""
+    gaussians (cl/project.cl) and of views (cl/exposure.cl). `counters` are uint[1] on the device;
+    `total` and `requested` are those of the whole run, at the last `poll`."""
 
     def __init__(self, *counters: Array) -> None:
         self._counters = counters
-        self._counted = self._asked = 0  # by the counters, and requested, at the last poll
-        self.total = self.requested = self._closed = self._closed_requested = 0
+        self.total = self.requested = self._earlier = 0
+        self._closed = 0, 0  # total and requested, at the last `close`
 
     def poll(self, requested: int) -> bool:
         """Update the counts, and return whether these are the first skipped rows; waits.
         `requested` are the rows of gradients that this process requested so far."""
-        before, counted = self.total, sum(int(counter.download()[0]) for counter in self._counters)
-        self.total += (counted - self._counted) % 2**32
-        self.requested += requested - self._asked
-        self._counted, self._asked = counted, requested
+        before, self.requested = self.total, requested
+        self.total = self._earlier + sum(int(counter.download()[0]) for counter in self._counters)
         return self.total > before == 0
 
     def close(self) -> tuple[int, int]:
         """(skipped, requested) rows between the last `close` and the last `poll`."""
-        since = self.total - self._closed, self.requested - self._closed_requested
-        self._closed, self._closed_requested = self.total, self.requested
+        since = self.total - self._closed[0], self.requested - self._closed[1]
+        self._closed = self.total, self.requested
         return since
 
     def state(self) -> dict[str, int]:
         """State for a checkpoint, at the last `poll`."""
-        return {"total": self.total, "closed": self._closed,
-                "asked": self.requested - self._closed_requested}
+        return {"total": self.total, "closed": self._closed[0],
+                "asked": self.requested - self._closed[1]}
 
     def load(self, state: dict[str, int]) -> None:
         """Restore what `state` returned."""
-        self.total, self._closed = state["total"], state["closed"]
-        self.requested, self._closed_requested = state["asked"], 0
+        self.total = self._earlier = state["total"]
+        self._closed = state["closed"], -state["asked"]
 
 
 def _long(counts: NDArray[np.uint32], place: int) -> int:

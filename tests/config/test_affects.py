@@ -1,7 +1,6 @@
 """What an option affects: who takes two runs for the same, and whether the model's bytes agree."""
 
 import dataclasses
-from importlib.util import find_spec
 from types import SimpleNamespace
 
 import pytest
@@ -20,7 +19,6 @@ from clsplat.report import compare
 from clsplat.report.groups import Trained, differing
 from clsplat.training.loop import resume, train
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, options_of, trained
-from tests.evaluation.test_metrics import NETWORK
 from tests.test_options import FIELDS, another, serving
 
 AFFECTS = {name: field.metadata["affects"] for name, field in FIELDS.items()}
@@ -45,7 +43,7 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
     here = resolve({}, around)
     value = another(FIELDS[name])[0]
     if value == "text":
-        value = str(NETWORK) if name == "lpips" else "x"
+        value = "x"
     other = dataclasses.replace(here, **{name: value})
     record, differs = plain(here), AFFECTS[name] != "nothing"
     assert [found for found, _, _ in differences(record, other)] == [name] * differs
@@ -76,11 +74,10 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
 @pytest.mark.slow
 def test_what_does_not_affect_the_model_leaves_its_bytes(item_device, tmp_path):
     """All of these options at once, and the rest of the run without them."""
-    assert {*CHANGES, "lpips"} == {name for name, what in AFFECTS.items() if what != "model"}
-    changes = {**CHANGES, "lpips": str(NETWORK)} if find_spec("onnxruntime") else CHANGES
+    assert {*CHANGES} == {name for name, what in AFFECTS.items() if what != "model"}
     scene = read_scene(CITY)
     plain_run = trained(tmp_path / "plain", scene, item_device, **TINY)
-    options = options_of(**{**TINY, **changes})
+    options = options_of(**{**TINY, **CHANGES})
     run = RunFolder.create(tmp_path / "run")
     with pytest.raises(Interrupted):
         train(scene, options, item_device, run)

@@ -1,6 +1,5 @@
 """The SIG schedule: when levels change and growth happens, under made-up frequencies."""
 
-import dataclasses
 import json
 
 import numpy as np
@@ -234,12 +233,3 @@ def test_stopped_anywhere_it_goes_on_alike(preset, frequency):
             step, = drive(stopped, frequency, iteration, iteration)
             # nan is no equal of itself
             assert repr(step) == repr(whole[iteration - 1])
-
-
-def test_options_may_change_under_way():
-    """As a time budget does: shares are then those of the new end."""
-    schedule = sig()
-    drive(schedule, rising, until=200)
-    schedule.options = dataclasses.replace(schedule.options, iterations=3000)
-    taken = drive(schedule, rising, first=201, until=3000)
-    assert abs(lengths(taken)[1.0] - 1500) <= 2 * schedule.observe_every

@@ -2,7 +2,6 @@
 
 import json
 import re
-from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -135,13 +134,6 @@ def test_a_run_ends_when_it_should(step, options):
     training = Simulated(240, Clock(step), **options)
     assert 0.97 * 240 < training.run() < 1.01 * 240
     assert set(training.steps_at) == set(training.session.schedule.levels)
-
-
-@pytest.mark.parametrize("seconds, unit", [(60, 0.001), (60, 0.01), (3600, 0.5), (20, 0.05)])
-def test_whatever_a_step_takes(seconds, unit):
-    clock = Clock(partial(by_pixels, unit=unit), evaluation=0.02 * seconds, disk=100e6,
-                  change=0.0, build=0.1 * seconds)
-    assert 0.97 * seconds < Simulated(seconds, clock).run() < 1.03 * seconds
 
 
 def test_the_schedule_is_laid_over_the_whole_run():

@@ -225,9 +225,3 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatc
     # dash, which looks at every photo when training begins, does not for this
     monkeypatch.setattr(module, "decoded", None)
     assert engine(1e9, schedule="dash").options.engine == "device"
-
-
-def test_outliers_are_left_out_where_that_is_requested(city, drift):
-    drift(0.0)
-    assert found(city).reasons["robust"] == "off: not requested"
-    assert found(city, robust="on").reasons["robust"].startswith("on: requested; ")

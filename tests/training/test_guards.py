@@ -11,53 +11,10 @@ from clsplat.options import resolve
 from clsplat.training import loop, recorder, step
 from clsplat.training.parts import image_term
 from clsplat.training.progress import SilentProgress
-from clsplat.training.step import SkippedGradients
 from tests.data.tiny_model import write_scene
 from tests.data.tiny_training import model_digest, records
 
 STEPS, EVERY = 40, 10  # of the run; between records and checkpoints
-
-
-class Counter:
-    """What a kernel counts on: uint[1]."""
-
-    def __init__(self, value=0):
-        self.value = value
-
-    def add(self, rows):
-        self.value = (self.value + rows) % 2**32
-
-    def download(self):
-        return np.array([self.value], np.uint32)
-
-
-def test_counting():
-    """Since the last record and over all, each look told of the first only."""
-    counter = Counter()
-    counts = SkippedGradients(counter)
-    assert not counts.poll(0) and counts.total == 0
-    told = []
-    for rows, requested in ((0, 50), (3, 100), (4, 120)):
-        counter.add(rows)
-        told.append(counts.poll(requested))
-    assert told == [False, True, False] and counts.total == 7
-    assert counts.close() == (7, 120) and counts.close() == (0, 0)
-    counter.add(5)
-    assert not counts.poll(129) and counts.total == 12 and counts.close() == (5, 9)
-
-
-def test_counting_past_what_32_bits_hold():
-    """Also by a resumed run, whose counters begin at zero again."""
-    counter, other = Counter(), Counter()
-    counts = SkippedGradients(counter)
-    for _ in range(3):
-        counter.add(2**31)
-        counts.poll(0)
-    again = SkippedGradients(other)
-    again.load(counts.state())
-    other.add(1)
-    again.poll(0)
-    assert counts.total == 3 * 2**31 and again.close() == (3 * 2**31 + 1, 0)
 
 
 # --- in a training
@@ -155,24 +112,6 @@ def test_too_many_end_the_run_and_keep_the_last_checkpoint(train, poison):
     assert records(run, "step")[-1]["skipped_since"] > 0 and not run.has_model
     poison(0, 0)
     assert model_digest(train(resumes=True)) == model_digest(train("healthy"))
-
-
-@pytest.mark.slow
-def test_how_many_are_too_many(train, poison, monkeypatch):
-    """The limit is a share of the gradients asked for: just below it the run goes on."""
-    poison(13, 13)
-    with pytest.raises(InputError) as caught:
-        train()
-    many, asked = (int(word.replace(",", "")) for word in
-                   str(caught.value).partition(": ")[2].split()[0:3:2])
-    assert 0 < many < asked and recorder.TOO_MANY == 0.01
-    monkeypatch.setattr(recorder, "TOO_MANY", many / asked)
-    poison(13, 13)
-    assert train("below").has_model
-    monkeypatch.setattr(recorder, "TOO_MANY", 0.999 * many / asked)
-    poison(13, 13)
-    with pytest.raises(InputError):
-        train("above")
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """The gaussians in training: rows and moments stay aligned, and both engines are one optimiser."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -89,29 +91,39 @@ def test_limit_opacity(float_device, engine):
     assert np.array_equal(moments[0]["positions"], m["positions"])
 
 
+def stepping(device, engine="device", rows=None, parts=(), **options):
+    """(a Step on a case of 1st degree, of these rows, a random photo's sample)."""
+    case = cases.gaussians("degree_1")
+    width, height = size_of(case)
+    photo = np.random.default_rng(0).integers(0, 256, (3, height, width), np.uint8)
+    renderer = Renderer(device, DEGREE, case["near"])
+    model = Model(device, Gaussians(case_rows() if rows is None else rows, DEGREE), engine)
+    step = Step(renderer, model, 1.0, TrainOptions(iterations=100, **options),
+                [*parts, ImageTerm()])
+    return step, TrainingSample(0, renderer.pack(camera_of(case)), device.upload(photo))
+
+
+def plan_of(decay=0.5):
+    return Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
+                decay=decay)
+
+
+def case_rows():
+    return {k: v.astype(np.float32) for k, v in cases.gaussians("degree_1")["rows"].items()}
+
+
 @pytest.mark.slow
 def test_engines_agree_over_five_steps(double_device):
     """On the gradients of a render, with rates that change; in double, where Adam's division by a
     gradient of almost nothing does not turn rounding into a step."""
-    device = double_device
-    case = cases.gaussians("degree_1")
-    width, height = size_of(case)
-    photo = np.random.default_rng(0).integers(0, 256, (3, height, width), np.uint8)
-    results = []
+    before, results = case_rows(), []
+    spheres = gaussians_of(len(before["positions"]), fields=FIELDS).rows
+    before.update({field.name: spheres[field.name] for field in SPHERE})
     for engine in ("device", "numpy"):
-        renderer = Renderer(device, DEGREE, case["near"])
-        given = Gaussians({k: v.astype(np.float32) for k, v in case["rows"].items()}, DEGREE)
-        spheres = gaussians_of(given.count, fields=FIELDS).rows
-        given.rows.update({field.name: spheres[field.name] for field in SPHERE})
-        model = Model(device, given, engine)
-        step = Step(renderer, model, 1.0, TrainOptions(iterations=100), [ImageTerm()])
+        step, sample = stepping(double_device, engine, before)
         for iteration in range(1, 6):
-            plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False,
-                        prunes_large=False, decay=iteration / 100)
-            step.run(iteration, plan, [TrainingSample(0, renderer.pack(camera_of(case)),
-                                             device.upload(photo))])
-        results.append((model.download().rows, *model.adam.download()))
-    before = given.rows
+            step.run(iteration, plan_of(iteration / 100), [sample])
+        results.append((step.model.download().rows, *step.model.adam.download()))
     for field in SPHERE:  # carried along, never learned
         for rows, _, _ in results:
             assert np.array_equal(rows[field.name], before[field.name]), field.name
@@ -127,21 +139,14 @@ def test_engines_agree_over_five_steps(double_device):
 @pytest.mark.one_in(3)
 def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypatch):
     """Its moments too, while those that the view did not see go on by theirs."""
-    device, case = float_device, cases.gaussians("degree_1")
-    width, height = size_of(case)
-    photo = device.upload(np.random.default_rng(0).integers(0, 256, (3, height, width), np.uint8))
-    renderer = Renderer(device, DEGREE, case["near"])
-    count = len(case["rows"]["positions"])
-    model = Model(device, Gaussians({k: v.astype(np.float32) for k, v in case["rows"].items()},
-                                    DEGREE), engine)
+    responses = PhotoResponses()
+    responses.exposures = Exposures(float_device, 1)
+    responses.skipped = responses.exposures.skipped
+    step, sample = stepping(float_device, engine, parts=[responses])
+    renderer, model = step.renderer, step.model
+    count, height = model.count, sample.photo.shape[1]
     moments = gaussians_of(count).rows
     model.adam.upload(moments, {name: values**2 for name, values in moments.items()})
-    responses = PhotoResponses()
-    responses.exposures = Exposures(device, 1)
-    responses.skipped = responses.exposures.skipped
-    step = Step(renderer, model, 1.0, TrainOptions(iterations=100), [responses, ImageTerm()])
-    plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
-                decay=0.5)
 
     def spoilt(*arguments):
         sums, grad_image = whole(*arguments)
@@ -159,7 +164,7 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
     monkeypatch.setattr(image_term, "image_loss", spoilt)
     monkeypatch.setattr(ImageTerm, "waits", True)
     before = model.download().rows, *model.adam.download()
-    step.run(1, plan, [TrainingSample(0, renderer.pack(camera_of(case)), photo)])
+    step.run(1, plan_of(), [sample])
     after = model.download().rows, *model.adam.download()
     seen = found[0].visible.download()
     usable = found[0].rows.download() == seen
@@ -176,24 +181,16 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
 @ENGINES
 def test_what_is_held_stays_though_it_has_moments(float_device, engine):
     """Seen or not, while all others move on."""
-    device, case = float_device, cases.gaussians("degree_1")
-    width, height = size_of(case)
-    photo = device.upload(np.random.default_rng(0).integers(0, 256, (3, height, width), np.uint8))
-    renderer = Renderer(device, DEGREE, case["near"])
-    count = len(case["rows"]["positions"])
-    rows = {name: values.astype(np.float32) for name, values in case["rows"].items()}
+    rows = case_rows()
     rows["opacity_logits"][:2] = -30  # too faint to be seen
-    model = Model(device, Gaussians(rows, DEGREE), engine)
+    step, sample = stepping(float_device, engine, rows)
+    model, count = step.model, step.count
     moments = gaussians_of(count).rows
     model.adam.upload(moments, {name: values**2 for name, values in moments.items()})
     frozen = np.arange(count) % 2 == 0
-    step = Step(renderer, model, 1.0, TrainOptions(iterations=100), [
-        ImageTerm()])
-    step.model.frozen = float_device.upload(frozen.astype(np.uint32))
-    plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
-                decay=0.5)
+    model.frozen = float_device.upload(frozen.astype(np.uint32))
     before = model.download().rows
-    step.run(1, plan, [TrainingSample(0, renderer.pack(camera_of(case)), photo)])
+    step.run(1, plan_of(), [sample])
     seen = step.statistics.seen_count.download() > 0
     assert not seen[:2].any() and seen[3]
     assert not seen[frozen].any()  # none learns from what is frozen
@@ -206,15 +203,9 @@ def test_what_is_held_stays_though_it_has_moments(float_device, engine):
 @pytest.mark.one_in(3)
 def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, engine, monkeypatch):
     """Of three that are the same and one other, as the adjoint gave them one by one."""
-    device, case = double_device, cases.gaussians("degree_1")
-    width, height = size_of(case)
-    rng = np.random.default_rng(0)
-    photos = [device.upload(rng.integers(0, 256, (3, height, width), np.uint8)) for _ in range(2)]
-    renderer = Renderer(device, DEGREE, case["near"])
-    count = len(case["rows"]["positions"])
-    model = Model(device, Gaussians({k: v.astype(np.float32) for k, v in case["rows"].items()},
-                                    DEGREE), engine)
-    step = Step(renderer, model, 1.0, TrainOptions(iterations=100, batch=4), [ImageTerm()])
+    step, sample = stepping(double_device, engine, batch=4)
+    renderer, model, count = step.renderer, step.model, step.count
+    other = replace(sample, photo=double_device.upload(255 - sample.photo.download()))
     taken, found, adjoint = [], [], renderer.adjoint
 
     def kept(*arguments):
@@ -224,10 +215,7 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
     monkeypatch.setattr(renderer, "adjoint", kept)
     monkeypatch.setattr(model.adam, "apply", lambda rows, mean, *_: taken.append(mean))
     monkeypatch.setattr(ImageTerm, "waits", True)  # or the views would share a frame
-    plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
-                decay=0.5)
-    camera = renderer.pack(camera_of(case))
-    losses = step.run(1, plan, (TrainingSample(0, camera, photos[i > 2]) for i in range(4)))
+    losses = step.run(1, plan_of(), [sample, sample, sample, other])
     values = [step.values([found])["loss"] for found in losses]
     assert len(values) == 4 and values[0] == values[2] != values[3]
     [mean], seen = taken, found[0].visible.download()

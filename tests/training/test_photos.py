@@ -62,10 +62,9 @@ def bytes_at(level):
 def idle(photos):
     """Wait until all is read that was asked before."""
     photos._threads.submit(int).result(timeout=120)
-    for store in (photos._store, photos._next and photos._next[1]):
-        if store:
-            store._threads.submit(int).result(timeout=120)
-            concurrent.futures.wait(store._shapes, timeout=120)
+    for store in photos._stores.values():
+        store._threads.submit(int).result(timeout=120)
+        concurrent.futures.wait(store._shapes, timeout=120)
 
 
 def is_at(photos, views, level):
@@ -99,19 +98,6 @@ def test_photos_begin_at_the_level_of_a_resumed_run(item_device, views, reads):
     assert is_at(photos, views, 1)
     assert sorted(reads) == sorted(all_at(WIDTH // 2) + all_at(WIDTH))
     photos.close()
-
-
-def test_resident_and_streaming_give_the_same_planes(item_device, views):
-    resident, streaming = Photos(item_device, views), Photos(item_device, views, budget_bytes=10)
-    assert resident.resident and not streaming.resident
-    for i in (2, 0, 2, 3, 1):
-        expected = read_image(views[i].source, (WIDTH, HEIGHT)).transpose(2, 0, 1)
-        for photos in (resident, streaming):
-            photo = photos[i]
-            assert (photo.shape, photo.dtype) == ((3, HEIGHT, WIDTH), np.uint8)
-            assert np.array_equal(photo.download(), expected)
-    resident.close()
-    streaming.close()
 
 
 def test_the_budget_is_that_of_the_images_trained_on(item_device, views):

@@ -5,12 +5,10 @@ import weakref
 import numpy as np
 import pytest
 
-from clsplat.constants import COUNT_DONE, COUNT_FAILED, COUNT_NEEDED_PAIRS
 from clsplat.io.scenes.read import read_scene
 from clsplat.training import capacity, photos
 from clsplat.training import step as steps
 from clsplat.training.step import Step
-from clsplat.training.units import Unit, Units
 from tests.city.test_block import block_of, trained_block
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
 
@@ -95,44 +93,6 @@ def same_bytes(device, city, tmp_path, monkeypatch, repeated, name):
         ends.append((model_digest(run), steps, grown))
         assert len(repeated) == 0 if margin == "ample" else len(repeated) > 2
     assert ends[0] == ends[1] and len(ends[0][2]) > 1
-
-
-class Counted:
-    """Units on the host: each takes a room, and is done if there is enough."""
-
-    def __init__(self, device):
-        self.units, self.room, self.log, self.rooms_made = Units(device), 1, [], []
-
-    def unit(self, number, needed):
-        def run():
-            counts = self.units.counts.download()
-            if needed > self.room or counts[COUNT_FAILED]:
-                counts[COUNT_NEEDED_PAIRS] = max(counts[COUNT_NEEDED_PAIRS], needed)
-                counts[COUNT_FAILED] = 1
-            else:
-                self.log.append(number)
-                counts[COUNT_DONE] += 1
-            self.units.counts.write(counts)
-
-        def make_room():
-            counts = self.units.counts.download()
-            assert not counts[COUNT_FAILED] and not counts[COUNT_NEEDED_PAIRS]
-            self.rooms_made.append(needed)
-            self.room = needed
-        return Unit(run, make_room)
-
-
-@pytest.mark.parametrize("pending", [1, 3, 50])
-def test_units_are_done_once_and_in_order(item_device, pending):
-    counted = Counted(item_device)
-    counted.units.most_pending = pending
-    needs = [1, 1, 4, 2, 9, 9, 3, 1, 12]
-    for number, needed in enumerate(needs):
-        counted.units.submit(counted.unit(number, needed))
-    counts = counted.units.confirm()
-    assert counted.log == list(range(9)) and counted.rooms_made == [4, 9, 12]
-    assert counts[COUNT_DONE] == 9 and not counts[COUNT_FAILED]
-    assert np.array_equal(counted.units.confirm(), counts)
 
 
 def test_steps_that_are_pending_keep_few_photos(item_device, city, tmp_path, monkeypatch):

@@ -22,7 +22,7 @@ from clsplat.rendering.blend import Exposure
 from clsplat.rendering.contribution import contribution
 from clsplat.rendering.pipeline import Frame, Renderer
 from clsplat.rendering.project import Rows
-from clsplat.training.part import Decision, Part, State, Survey
+from clsplat.training.part import Decision, Part, State, Survey, requested
 
 if TYPE_CHECKING:
     from clsplat.schedule import Plan
@@ -178,11 +178,7 @@ class OutlierMasks(Part):
 
     @classmethod
     def decide(cls, survey: Survey) -> dict[str, Decision]:
-        if survey.options.robust == "on":
-            return {"robust": Decision(
-                "on", "on: requested; the record `robust` of the run has the share of the pixels "
-                "that are left out", requested=True)}
-        return {"robust": Decision("off", "off: not requested")}
+        return {"robust": requested(survey.options.robust)}
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
