@@ -199,7 +199,7 @@ def turntable(scene: Scene) -> Keys:
     distances = np.linalg.norm(away, axis=1)
     elevation = np.median(np.arcsin(np.clip(away @ up / np.maximum(distances, 1e-12), -1, 1)))
     plane = _axes(scene.points, up)
-    ahead = _headings(scene, plane, 2 * math.pi) @ plane
+    ahead = -_headings(scene, plane, 2 * math.pi) @ plane  # begins as the first view looks
     return _looking_down(scene, middle + np.zeros_like(ahead), ahead,
                          float(np.clip(elevation, *np.radians(ELEVATIONS))),
                          float(np.median(distances)) or scene.extent)

@@ -160,12 +160,13 @@ def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
                 continue
             is_known = True
             progress.count("tile", done, total)
+            part = np.s_[y * side:(y + 1) * side, x * side:(x + 1) * side]
             colours, surface = painter.tile(*place)
-            for all_pixels, pixels in zip(whole, (np.where(inside, colours, 0), np.where(
-                    inside, surface, np.float32(np.nan)))):
+            masked = np.where(inside, colours, 0), np.where(inside, surface, np.float32(np.nan))
+            for all_pixels, pixels in zip(whole, masked):
                 for _ in range(halvings):
                     pixels = halved_pixels(pixels)
-                all_pixels[y * side:(y + 1) * side, x * side:(x + 1) * side] = pixels
+                all_pixels[part] = pixels
         if is_known:
             for raster, values in zip(drawn, whole):
                 raster.write((column, row), values)
