@@ -123,9 +123,12 @@ class ViewServer:
     def __init__(self, page: str, requests: FrameRequests, status: Callable[[], Mapping[str, Any]],
                  port: int = 0) -> None:
         self.token = secrets.token_urlsafe(24)
-        handler = partial(_Handler, self)
         self.page, self.requests, self.status = page, requests, status
-        self._server = _bound(handler, port)
+        try:
+            self._server = _Server((LOOPBACK, port), partial(_Handler, self))
+        except OSError as error:
+            raise InputError(f"--port {port}: cannot be opened ({error.strerror}); choose another, "
+                             "or leave it out for a free one") from None
         self.port = self._server.server_port
         self.address = f"http://{LOOPBACK}:{self.port}/{self.token}/"
         self.hosts = {f"{name}:{self.port}" for name in (LOOPBACK, "localhost")}
@@ -149,14 +152,6 @@ class _Server(ThreadingHTTPServer):
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that goes away is no error."""
-
-
-def _bound(handler: Callable[..., BaseHTTPRequestHandler], port: int) -> _Server:
-    try:
-        return _Server((LOOPBACK, port), handler)
-    except OSError as error:
-        raise InputError(f"--port {port}: cannot be opened ({error.strerror}); choose another, or "
-                         "leave it out for a free one") from None
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -84,8 +84,9 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path,
         if view:
             raise InputError("--view: shows a single training; leave out --schedules, or look at "
                              "each run with `clsplat view`")
-        assert scene is not None  # else the error above
-        _campaign(scene, output, values, flags, schedules, seeds, quiet, up)
+        from clsplat.cli.campaign import combinations, run_campaign
+        run_campaign(lambda folder, options: _train(scene, folder, options, {}, True, quiet, up),
+                     combinations(values, flags, schedules, seeds), output)
         return
     if seeds != 1:
         raise InputError("--seeds: needs --schedules; for one run, use --seed")
@@ -143,15 +144,6 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags
         else:
             run = RunFolder.create(output, overwrite=overwrite)
             loop.train(data, options, device, run, progress=progress, watcher=watcher)
-
-
-def _campaign(scene: Path, output: Path, values: dict[str, Any], flags: dict[str, Any],
-              schedules: str, seeds: int, quiet: bool, up: tuple[float, float, float] | None
-              ) -> None:
-    """Train every schedule with every seed, then compare them."""
-    from clsplat.cli.campaign import combinations, run_campaign
-    run_campaign(lambda folder, options: _train(scene, folder, options, {}, True, quiet, up),
-                 combinations(values, flags, schedules, seeds), output)
 
 
 def resumed_options(record: dict[str, Any], flags: dict[str, Any]) -> TrainOptions:
