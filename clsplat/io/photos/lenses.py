@@ -34,30 +34,6 @@ FACES = {"front": ((1, 0, 0), (0, 1, 0), (0, 0, 1)), "right": ((0, 0, 1), (0, 1,
          "up": ((1, 0, 0), (0, 0, -1), (0, 1, 0)), "down": ((1, 0, 0), (0, 0, 1), (0, -1, 0))}
 
 
-def brown_model(pinhole: Sequence[float], radial: Sequence[float],
-                tangential: Sequence[float] = (0.0, 0.0)) -> Model | None:
-    """The simplest camera model that equals Brown's with these coefficients; None: a pinhole's.
-
-    ValueError if there is none, for the factor of r^8 that nerfstudio and Metashape call k4. The k4
-    of FULL_OPENCV is another, which divides.
-
-    Parameters
-    ----------
-    pinhole : fx, fy, cx, cy, pixels.
-    radial : up to four coefficients, of r^2, r^4, r^6 and r^8.
-    tangential : in OpenCV's order: the first is the factor of 2 x y in x.
-    """
-    k1, k2, k3, k4 = (*radial, 0.0, 0.0, 0.0, 0.0)[:4]
-    if k4:
-        raise ValueError("no camera model of COLMAP has its coefficient k4, of r^8; optimise the "
-                         "cameras without it, or export undistorted photos")
-    if k3:
-        return "FULL_OPENCV", (*pinhole, k1, k2, *tangential, k3, 0.0, 0.0, 0.0)
-    if any((k1, k2, *tangential)):
-        return "OPENCV", (*pinhole, k1, k2, *tangential)
-    return None
-
-
 def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
                       models: Sequence[Model | None]) -> dict[str, NDArray[Any]]:
     """The arrays for `checks.checked_scene` after undistortion.

@@ -7,7 +7,7 @@ built as that of a COLMAP model is.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,12 +20,19 @@ from clsplat.errors import InputError
 from clsplat.georeference import Georeference
 from clsplat.io.fields import LARGEST_COORDINATE
 from clsplat.io.models.ply import read_vertices
-from clsplat.io.photos.lenses import Model, brown_model, undistorted_model
+from clsplat.io.photos.lenses import Model, undistorted_model
 from clsplat.io.scenes.checks import ROTATION_TOLERANCE, checked_scene
 from clsplat.io.scenes.colmap import read_model
 from clsplat.io.scenes.sources import checked_photos
 from clsplat.scene import Scene, View
 
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")  # as files name them
+# those of COLMAP's camera models, after focal length and centre: factors of r^2, r^4, ... (k), of
+# tangential distortion (p), and of the polynomial that divides (d)
+TERMS = {"PINHOLE": "", "OPENCV": "k1 k2 p1 p2", "FULL_OPENCV": "k1 k2 p1 p2 k3 d1 d2 d3",
+         "OPENCV_FISHEYE": "k1 k2 k3 k4", "THIN_PRISM_FISHEYE": "k1 k2 p1 p2 k3 k4 s1 s2"}
+BROWN = ("PINHOLE", "OPENCV", "FULL_OPENCV")
+FISHEYE = ("OPENCV_FISHEYE",)
 GREY = 128  # of points without colours
 FLIPPED = np.array([1.0, -1.0, -1.0])  # camera axes right, up, back to right, down, forward
 PLY_NAMES = ("points3D.ply", "sparse_pc.ply")
@@ -65,10 +72,23 @@ class Optics:
     model: Model | None = None
 
 
-def brown(size: tuple[int, int], focal: tuple[float, float], centre: tuple[float, float],
-          radial: Sequence[float] = (), tangential: Sequence[float] = (0.0, 0.0)) -> Optics:
-    """A camera with Brown's model; see `lenses.brown_model`."""
-    return Optics(size, focal, centre, brown_model((*focal, *centre), radial, tangential))
+def optics(size: tuple[int, int], focal: tuple[float, float], centre: tuple[float, float],
+           models: Sequence[str], values: Mapping[str, float]) -> Optics:
+    """The camera with the first of some models (BROWN, FISHEYE) that has all its coefficients.
+
+    Parameters
+    ----------
+    values : coefficients by the names of TERMS; p1 is OpenCV's, the factor of 2 x y in x.
+    """
+    used = [key for key, value in values.items() if value]
+    for model in models:
+        terms = TERMS[model].split()
+        if set(used) <= set(terms):
+            parameters = (*focal, *centre, *(values.get(term, 0.0) for term in terms))
+            return Optics(size, focal, centre, (model, parameters) if terms else None)
+    other = next(key for key in used if key not in terms)
+    raise ValueError(f"no camera model of COLMAP has its coefficient {other}; optimise the cameras "
+                     "without it, or export undistorted photos")
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,24 +15,32 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError, reason
 from clsplat.io.fields import number, pixels, reading, text
 from clsplat.io.photos.images import image_size
-from clsplat.io.photos.lenses import PANORAMA, Model, brown_model
+from clsplat.io.photos.lenses import PANORAMA
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
-from clsplat.io.scenes.posed import FLIPPED, Cloud, Optics, PosedPhoto, posed_scene, read_cloud
+from clsplat.io.scenes.posed import (
+    BROWN,
+    COEFFICIENTS,
+    FISHEYE,
+    FLIPPED,
+    Cloud,
+    Optics,
+    PosedPhoto,
+    optics,
+    posed_scene,
+    read_cloud,
+)
 from clsplat.scene import Scene
 
 ALL, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
 SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")  # tried if file_path has none
-# the keys of a lens; k4 is the factor of r^8, as nerfstudio has it, except in FULL_OPENCV, where it
-# is the first of the three factors that divide
-COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-FISHEYE, RATIONAL = "OPENCV_FISHEYE", "FULL_OPENCV"
+# of FULL_OPENCV; elsewhere k4 is the factor of r^8
+DIVIDES = {"k4": "d1", "k5": "d2", "k6": "d3"}
 MODEL = ("camera_model", "is_fisheye")
 FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
-# camera_model -> the keys that it has
-LENSES = {FISHEYE: COEFFICIENTS[:4], RATIONAL: COEFFICIENTS, **dict.fromkeys(
-    ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"),
-    (*COEFFICIENTS[:4], "p1", "p2"))}
+# camera_model -> models of COLMAP
+MODELS = {FISHEYE[0]: FISHEYE, **dict.fromkeys(
+    ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"), BROWN)}
 
 
 def find_transforms(path: Path) -> Path | None:
@@ -107,9 +115,8 @@ def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> Pose
     focal_y = _focal(frame, *FOCAL_Y, size[1], focal_x)
     centre = (_number(frame, "cx", size[0] / 2), _number(frame, "cy", size[1] / 2))
     mask = frame.get("mask_path")
-    optics = Optics(size, (focal_x, focal_y), centre,
-                    _lens(frame, size, (focal_x, focal_y, *centre)))
-    return PosedPhoto(name, source, optics, (pose[:, :3] * FLIPPED).T, pose[:, 3], held_out,
+    return PosedPhoto(name, source, _optics(frame, size, (focal_x, focal_y), centre),
+                      (pose[:, :3] * FLIPPED).T, pose[:, 3], held_out,
                       None if mask is None else folder / text(mask, "mask_path"))
 
 
@@ -132,32 +139,19 @@ def _photo(folder: Path, file_path: object) -> tuple[str, Path]:
     return "/".join(parts), folder / photo
 
 
-def _lens(frame: Mapping[str, Any], size: tuple[int, int], pinhole: tuple[float, ...]
-          ) -> Model | None:
-    """The camera model of a frame; None for a pinhole camera."""
+def _optics(frame: Mapping[str, Any], size: tuple[int, int], focal: tuple[float, float],
+            centre: tuple[float, float]) -> Optics:
     if "ftheta_p0" in frame:
         raise ValueError("the lens F-theta is not read; export with OPENCV_FISHEYE")
-    name = frame.get("camera_model")
-    name = "OPENCV" if name is None else name
-    if frame.get("is_fisheye"):
-        name = FISHEYE
+    name = FISHEYE[0] if frame.get("is_fisheye") else frame.get("camera_model") or "OPENCV"
     if name == PANORAMA:
-        return PANORAMA, tuple(map(float, size))
-    if not isinstance(name, str) or name not in LENSES:
-        raise ValueError(f"camera_model is {str(name)[:40]!r}, not {', '.join(LENSES)} "
+        return Optics(size, focal, centre, (PANORAMA, tuple(map(float, size))))
+    if not isinstance(name, str) or name not in MODELS:
+        raise ValueError(f"camera_model is {str(name)[:40]!r}, not {', '.join(MODELS)} "
                          f"or {PANORAMA}")
-    value = {key: _number(frame, key, 0) for key in COEFFICIENTS}
-    others = [key for key in COEFFICIENTS if value[key] and key not in LENSES[name]]
-    if others:
-        raise ValueError(f"its camera_model {name} has no coefficient {others[0]}; leave that out, "
-                         f"or name {RATIONAL} if it divides")
-    if name == FISHEYE:
-        return name, (*pinhole, *(value[key] for key in LENSES[name]))
-    if name == RATIONAL and any(value[key] for key in ("k4", "k5", "k6")):
-        return name, (*pinhole, *(value[key] for key in (
-            "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")))
-    return brown_model(pinhole, [value[key] for key in COEFFICIENTS[:4]],
-                       (value["p1"], value["p2"]))
+    divides = DIVIDES if name == "FULL_OPENCV" else {}
+    return optics(size, focal, centre, MODELS[name], {
+        divides.get(key, key): _number(frame, key, 0) for key in COEFFICIENTS})
 
 
 def _focal(frame: Mapping[str, Any], key: str, angle_key: str, side: int,

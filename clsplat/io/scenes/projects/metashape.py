@@ -25,16 +25,14 @@ from clsplat.errors import InputError
 from clsplat.io.fields import numbers, parsed, pixels, reading
 from clsplat.io.georeference.crs import is_local
 from clsplat.io.regular import open_regular, read_regular
-from clsplat.io.scenes.posed import Optics, PosedPhoto, brown
+from clsplat.io.scenes.posed import BROWN, FISHEYE, Optics, PosedPhoto, optics
 from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene, root_of
 from clsplat.placement.alignment import Similarity
 from clsplat.scene import Scene
 
 HEAD_BYTES = 4096  # in which the file must show what it is
-COEFFICIENTS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+DISTORTION = ("b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
-CURE = ("optimise the cameras in Metashape without it (Tools, Optimize Cameras), or export "
-        "undistorted photos with their cameras in COLMAP's format (File, Export, Export Cameras)")
 
 
 def find_metashape(path: Path) -> Path | None:
@@ -140,14 +138,11 @@ def _optics(sensor: Element) -> Optics:
     if not sizes:
         raise ValueError("its sensor has no resolution")
     width, height = (pixels(parsed(sizes[0].get(key), key), key) for key in ("width", "height"))
-    value = {key: parsed(calibrations[0].findtext(key) or "0", key) for key in COEFFICIENTS}
+    value = {key: parsed(calibrations[0].findtext(key) or "0", key)
+             for key in ("f", "cx", "cy", "b1", *DISTORTION)}
     focal = value["f"] + value["b1"], value["f"]
     centre = width / 2 + value["cx"], height / 2 + value["cy"]
-    k1, k2, k3, k4 = (value[f"k{number}"] for number in range(1, 5))
-    for key in ("b2", "p3", "p4"):
-        if value[key]:
-            raise ValueError(f"no camera model of COLMAP has its coefficient {key}; {CURE}")
-    if kind == "frame":
-        return brown((width, height), focal, centre, (k1, k2, k3, k4), (value["p2"], value["p1"]))
-    return Optics((width, height), focal, centre, ("THIN_PRISM_FISHEYE", (
-        *focal, *centre, k1, k2, value["p2"], value["p1"], k3, k4, 0.0, 0.0)))
+    value["p1"], value["p2"] = value["p2"], value["p1"]
+    return optics((width, height), focal, centre,
+                  BROWN if kind == "frame" else (*FISHEYE, "THIN_PRISM_FISHEYE"),
+                  {key: value[key] for key in DISTORTION})

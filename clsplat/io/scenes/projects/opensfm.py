@@ -22,7 +22,15 @@ from clsplat.io.fields import number, numbers, pixels, reading, table, tables
 from clsplat.io.photos.images import image_size
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
-from clsplat.io.scenes.posed import Cloud, Optics, PosedPhoto, brown
+from clsplat.io.scenes.posed import (
+    BROWN,
+    COEFFICIENTS,
+    FISHEYE,
+    Cloud,
+    Optics,
+    PosedPhoto,
+    optics,
+)
 from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene, topocentric
 from clsplat.scene import Scene
 
@@ -31,11 +39,9 @@ NAMES = ("reconstruction.topocentric.json", "reconstruction.json")
 ODM = "opensfm"  # the folder in a project of ODM
 REFERENCE, TRACKS, MOVED = "reference_lla.json", "tracks.csv", "exported_geocoords.txt"
 COORDINATES = ("latitude", "longitude", "altitude")
-# projection_type -> its coefficients of distortion
-TERMS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-COEFFICIENTS = {"perspective": TERMS[:2], "simple_radial": TERMS[:1], "radial": TERMS[:2],
-                "brown": (*TERMS[:3], "p1", "p2"), "fisheye": TERMS[:2],
-                "fisheye_opencv": TERMS[:4]}
+# projection_type -> models of COLMAP
+MODELS = {"perspective": BROWN, "simple_radial": BROWN, "radial": BROWN, "brown": BROWN,
+          "fisheye": FISHEYE, "fisheye_opencv": FISHEYE}
 ASPECT = 2e-3  # relative tolerance of the ratio of a photo's sides: they may be rounded
 
 
@@ -107,16 +113,10 @@ def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> Optics:
     both = "focal" if "focal" in camera else "focal_x"
     focal = longer * value(both), longer * value("focal" if "focal" in camera else "focal_y")
     centre = size[0] / 2 + longer * value("c_x"), size[1] / 2 + longer * value("c_y")
-    k = [value(f"k{number}") for number in range(1, 5)]
-    if kind not in COEFFICIENTS:
+    if kind not in MODELS:
         raise ValueError(f"the camera model {str(kind)[:40]} is not read; reconstruct with "
                          "perspective, brown or fisheye")
-    others = [key for key in TERMS if key not in COEFFICIENTS[kind] and value(key)]
-    if others:
-        raise ValueError(f"the camera model {kind} has no coefficient {others[0]}")
-    if "fisheye" in kind:
-        return Optics(size, focal, centre, ("OPENCV_FISHEYE", (*focal, *centre, *k)))
-    return brown(size, focal, centre, k[:3], (value("p1"), value("p2")))
+    return optics(size, focal, centre, MODELS[kind], {key: value(key) for key in COEFFICIENTS})
 
 
 def _points(points: Mapping[str, Any], folder: Path, shots: list[str]) -> Cloud | None:

@@ -114,12 +114,8 @@ def test_what_is_refused(tmp_path, scene, change, words):
     assert str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("kind, key", [
-    ("perspective", "k3"), ("perspective", "p1"), ("simple_radial", "k2"), ("radial", "k4"),
-    ("brown", "k4"), ("brown", "k5"), ("fisheye", "k3"), ("fisheye", "p2"),
-    ("fisheye_opencv", "k5")])
-def test_coefficients_that_a_model_has_not(kind, key):
+@pytest.mark.parametrize("kind, key", [("brown", "k4"), ("fisheye", "p2")])
+def test_coefficients_that_no_model_has(kind, key):
     camera = {"projection_type": kind, "width": 640, "height": 480, **CAMERAS[kind], key: 0.01}
-    with pytest.raises(ValueError, match=f"the camera model {kind} has no coefficient {key}"):
+    with pytest.raises(ValueError, match=f"its coefficient {key}"):
         _optics(camera, (640, 480))
-    _optics({**camera, key: 0}, (640, 480))
