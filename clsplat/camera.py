@@ -114,12 +114,7 @@ class Camera:
         return -self.rotation.T @ self.translation
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera for an image of another size; each axis has its own scale.
-
-        Parameters
-        ----------
-        width, height : size of the new image, pixels.
-        """
+        """The same camera for an image of another size, pixels; each axis has its own scale."""
         sx, sy = width / self.width, height / self.height
         whole = None if self.whole is None else _four(np.multiply(self.whole, (sx, sy, sx, sy)))
         return replace(
@@ -128,24 +123,15 @@ class Camera:
             centre=(self.centre[0] * sx, self.centre[1] * sy), whole=whole)
 
     def cropped(self, left: int, top: int, right: int, bottom: int) -> Camera:
-        """The same camera for a part of its image.
-
-        Parameters
-        ----------
-        left, top, right, bottom : borders of the part, pixels; right and bottom are exclusive.
-        """
+        """The same camera for a part of its image, between these borders in pixels; right and
+        bottom are exclusive."""
         return replace(
             self, width=right - left, height=bottom - top,
             centre=(self.centre[0] - left, self.centre[1] - top),
             whole=_four(np.array(self.borders) - [left, top, left, top]))
 
     def turned(self, quarters: int) -> Camera:
-        """The same camera for its image after clockwise quarter turns.
-
-        Parameters
-        ----------
-        quarters : how many, 0 to 3.
-        """
+        """The same camera for its image after 0 to 3 clockwise quarter turns."""
         if not quarters:
             return self
         turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -173,12 +159,7 @@ class Camera:
         return self.resized(width, height)
 
     def shifted(self, offset: ArrayLike) -> Camera:
-        """The same camera in a world with another origin.
-
-        Parameters
-        ----------
-        offset : float64[3], world: the new origin.
-        """
+        """The same camera in a world with another origin, float64[3], world."""
         away = np.asarray(offset, np.float64)
         return replace(self, translation=self.translation + self.rotation @ away,
                        offset=self.offset + away)
@@ -197,16 +178,8 @@ class Camera:
                        translation=turned @ (self.translation - np.asarray(shift, np.float64)))
 
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Project points into the image.
-
-        Parameters
-        ----------
-        points : float64[N, 3], world.
-
-        Returns
-        -------
-        Pixel coordinates float64[N, 2], and depths float64[N] along the camera's axis.
-        """
+        """The pixels float64[N, 2] to which points float64[N, 3], world, project, and their depths
+        float64[N] along the camera's axis."""
         p = turned(self.rotation, points) + self.translation[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             pixel = p[:2] / (1.0 if self.orthographic else p[2])
@@ -220,13 +193,8 @@ class Camera:
         return (depths > 0) & self.contains(pixels)
 
     def contains(self, pixels: NDArray[np.floating], beyond: ArrayLike = 0.0) -> NDArray[np.bool_]:
-        """Which pixels lie within the image, as bool[N].
-
-        Parameters
-        ----------
-        pixels : [N, 2].
-        beyond : [N] or one number, pixels: how far outside of the image they may lie.
-        """
+        """Which pixels [N, 2] lie within the image, or up to `beyond` pixels ([N] or one number)
+        outside of it, as bool[N]."""
         (x, y), beyond = pixels.T, np.asarray(beyond)
         inside: NDArray[np.bool_] = ((x > -beyond) & (x < self.width + beyond)
                                      & (y > -beyond) & (y < self.height + beyond))
@@ -253,19 +221,10 @@ def shown(value: object) -> str:
 
 
 def turned(rotation: NDArray[np.float64], points: ArrayLike) -> NDArray[np.float64]:
-    """Rotated points, one coordinate after the other.
+    """Points float64[N, 3] after a rotation float64[3, 3], one coordinate after the other: [3, N].
 
     Operations on long rows are several times as fast as on rows of three numbers, and no BLAS is
     used, whose threads would wait busily for the next product.
-
-    Parameters
-    ----------
-    rotation : float64[3, 3].
-    points : float64[N, 3].
-
-    Returns
-    -------
-    float64[3, N].
     """
     columns = np.ascontiguousarray(np.asarray(points, np.float64).T)
     result: NDArray[np.float64] = np.einsum("ij,jn->in", rotation, columns)
@@ -295,12 +254,8 @@ class Lens:
     centre: tuple[float, float]
 
     def resized(self, scale_x: float, scale_y: float) -> Lens:
-        """The same lens with an undistorted photo of another size.
-
-        Parameters
-        ----------
-        scale_x, scale_y : by which the sides are multiplied, up to rounding to whole pixels.
-        """
+        """The same lens with an undistorted photo whose sides are multiplied by these factors, up
+        to rounding to whole pixels."""
         width, height = max(1, round(self.width * scale_x)), max(1, round(self.height * scale_y))
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height,

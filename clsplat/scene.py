@@ -135,12 +135,7 @@ class Scene:
         return [view.camera.turned(view.quarter_turns) for view in self.views]
 
     def corrected(self, corrections: Mapping[str, Correction]) -> Self:
-        """The scene with corrected poses.
-
-        Parameters
-        ----------
-        corrections : of views by name, in units of the scene; other views stay as they are.
-        """
+        """The scene with corrected poses of some views, by name, in its units."""
         views = (replace(view, camera=corrections[view.name].applied(view.camera))
                  if view.name in corrections else view for view in self.views)
         return replace(self, views=tuple(views), given_up=self.up)
@@ -190,12 +185,8 @@ class Scene:
         return self.extent * NEAR_SHARE
 
     def near(self, requested: float) -> float:
-        """The depth of the near plane in the units of this scene.
-
-        Parameters
-        ----------
-        requested : original world units, the option `near`; 0: `near_plane`.
-        """
+        """The depth of the near plane in the units of this scene; `requested` is the option `near`
+        in original units, 0: `near_plane`."""
         return requested / self.unit or self.near_plane
 
     def split(self, test_every: int, test_offset: int = 0
@@ -221,12 +212,7 @@ class Scene:
                 tuple(v for v in self.views if v.name in held_out))
 
     def part(self, indices: Iterable[int]) -> Self:
-        """The scene with some of its views, and the points that these see.
-
-        Parameters
-        ----------
-        indices : of the views.
-        """
+        """The scene with some of its views, by their indices, and the points that these see."""
         chosen = sorted(indices)
         views, known = tuple(self.views[i] for i in chosen), self.observations
         if known is None:
@@ -240,12 +226,8 @@ class Scene:
                        observations=known, given_up=self.up)
 
     def cropped(self, windows: dict[str, tuple[int, int, int, int]]) -> Self:
-        """The scene with views cropped to parts of their photos, and observations only in these.
-
-        Parameters
-        ----------
-        windows : name of a view -> (left, top, right, bottom), pixels; other views are not cropped.
-        """
+        """The scene with views cropped to parts of their photos, by name (left, top, right, bottom,
+        in pixels), and with observations only in these."""
         views = tuple(replace(v, camera=v.camera.cropped(*windows[v.name]))
                       if v.name in windows else v for v in self.views)
         known = self.observations

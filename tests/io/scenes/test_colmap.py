@@ -183,15 +183,6 @@ def test_every_camera_model_of_pycolmap_is_known():
             assert CAMERA_MODELS[name] == len(made.params)
 
 
-def test_names_with_spaces(tmp_path):
-    for text in (False, True):
-        made = reconstruction()
-        for image in made.images.values():
-            image.name = f"a  photo {image.name}"
-        scene = read_colmap(write_scene(tmp_path / str(text), made, text))
-        assert scene.views[0].name == "a  photo photo_0.png"
-
-
 def test_photos(tmp_path):
     folder = write_scene(tmp_path)
     photo = folder / "images" / "photo_1.png"

@@ -17,8 +17,6 @@ from tests.data.tiny_model import reconstruction, write_scene
 LENS = "FULL_OPENCV", (40.0, 40.5, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0)
 CAMERAS = {
     "perspective": {"focal": 0.9, "k1": -0.1, "k2": 0.03},
-    "simple_radial": {"focal_x": 0.9, "focal_y": 0.8, "c_x": 0.01, "c_y": -0.02, "k1": -0.1},
-    "radial": {"focal_x": 0.9, "focal_y": 0.8, "c_x": 0.01, "c_y": -0.02, "k1": -0.1, "k2": 0.03},
     "brown": {"focal_x": 0.9, "focal_y": 0.8, "c_x": 0.01, "c_y": -0.02, "k1": -0.1, "k2": 0.03,
               "p1": 2e-3, "p2": -3e-3, "k3": 0.01},
     "fisheye": {"focal": 0.9, "k1": -0.1, "k2": 0.03},
