@@ -90,13 +90,8 @@ def interpolated(keys: Keys, times: NDArray[np.float64], size: tuple[int, int], 
 
 def flight(scene: Scene, seconds: float) -> Keys:
     """A flight along the photos in the order of their names, smoothed, at a constant speed over the
-    ground, with turns spread over some seconds.
-
-    Parameters
-    ----------
-    scene : its cameras; a long series is thinned out, or the film would rush.
-    seconds : length of the film.
-    """
+    ground, with turns spread over some seconds. A long series is thinned out, or the film would
+    rush."""
     count = len(scene.views)
     number = max(2, min(max(4, round(KEYS_A_SECOND * seconds)), count))
     chosen = [scene.views[i].camera
@@ -132,13 +127,7 @@ def _steady(positions: NDArray[np.float64], quaternions: NDArray[np.float64], se
 
 
 def auto(scene: Scene, seconds: float) -> Keys:
-    """The path that suits the photos: over the site and oblique if they look down,
-    else `flight`.
-
-    Parameters
-    ----------
-    scene : its cameras and sparse points.
-    seconds : length of the film.
+    """The path that suits the photos: over the site and oblique if they look down, else `flight`.
     """
     slopes = [-float(view.camera.rotation[2] @ scene.up) for view in scene.views]
     down = np.median(slopes) >= math.cos(math.radians(LOOKS_DOWN))
@@ -186,10 +175,6 @@ def turntable(scene: Scene) -> Keys:
     """A full turn around the middle of the scene, about its up axis, that looks at the middle.
 
     It is as far away as the photos, and as high as they allow within ELEVATIONS.
-
-    Parameters
-    ----------
-    scene : with sparse points.
     """
     if not len(scene.points):
         raise InputError(f"{scene.name}: has no points, so its middle is unknown; make a flight or "

@@ -51,10 +51,8 @@ def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device,
 
     Parameters
     ----------
-    run : the run.
-    scene : of the run; from which the near plane follows.
+    run, scene, device : finished, its scene, and an open device.
     cameras : in original coordinates.
-    device : an open device.
     host_bytes : for a tree; see `TreeRenderer`.
     everything : whether gaussians that are not `supported` are drawn, as a tree's always are.
     """
@@ -115,13 +113,8 @@ def write_film(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], ra
 
 def write_frames(folder: Path, pictures: Iterable[Pixels],
                  shown: Callable[[int], object] = lambda _: None) -> None:
-    """Write FOLDER/frame_00001.png and so on, in place of `frames_in` the folder.
-
-    Parameters
-    ----------
-    folder : is created if it is missing.
-    pictures, shown : as for `write_film`.
-    """
+    """Write FOLDER/frame_00001.png and so on, in place of `frames_in` the folder, which is created
+    if it is missing; other arguments as for `write_film`."""
     make_folder(folder)
     for path in frames_in(folder):
         path.unlink()

@@ -72,13 +72,8 @@ class FrameRequest:
             self.answer.set_exception(error)
 
     def drawn(self, renderer: Any, rows: Any, degree: int, unit: float = 1.0) -> Any:
-        """What `answer` becomes.
-
-        Parameters
-        ----------
-        renderer, rows, degree : the model on the device; see `slabs.open_model`.
-        unit : of the model's world, in units of the page's.
-        """
+        """What `answer` becomes, of a model on the device (see `slabs.open_model`) whose world has
+        a `unit` in units of the page's."""
         camera = self.camera
         packed = renderer.pack(replace(camera, translation=camera.translation / unit))
         frame = renderer.render(rows, packed, camera.width, camera.height, degree,

@@ -25,9 +25,9 @@ UNKNOWN = -float("inf")  # time at which a phase ends, or at which nothing was s
 class Progress(SilentProgress):
     """A line with the current phase, and in training with iteration, time left, speed and loss.
 
-    It is a context manager, which may be entered again. A terminal gets one line, which is redrawn
-    every second and shortened to fit. A log gets a line for each phase, and a line of numbers from
-    time to time. If the stream cannot be written any more, the line ends and the command continues.
+    It is a context manager, which may be entered again. A terminal gets one line, redrawn every
+    second and shortened to fit; a log a line for each phase, and numbers from time to time. If the
+    stream cannot be written any more, the line ends and the command continues.
 
     Parameters
     ----------

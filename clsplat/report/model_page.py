@@ -43,19 +43,8 @@ PART = re.compile(r"\{\{(\w[\w.]*)\}\}\n?")  # of a template: a file of web/, or
 
 def write_run_page(path: str | Path, run: Run, gaussians: Gaussians,
                    photos: Sequence[Camera] = ()) -> None:
-    """Write the page of a run; needs nothing of its scene.
-
-    Parameters
-    ----------
-    path : the file, which is replaced as a whole.
-    run : whose first view and options are used.
-    gaussians : its model, or a part of that.
-    photos : as for `view_record`.
-
-    Raises
-    ------
-    InputError : as `write_page`.
-    """
+    """`write_page` of the model of a run, or a part of that, as the run's first view and options
+    have it; needs nothing of its scene."""
     options = run.options
     write_page(path, gaussians, run.first_view, run.up, near=near_of(run),
                title=full_name(run.path, run.record), antialiased=options.antialiased,
