@@ -5,21 +5,16 @@ import json
 import numpy as np
 import pyproj
 import pytest
-from click.testing import CliRunner
 
-from clsplat.cli.main import main
 from clsplat.edit.select import selected
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.models.formats import read_model, write_model
 from clsplat.io.runs.run import RunFolder
+from tests.cli.test_cli import clsplat_
 from tests.data.cloud import cloud
 
 PLACE = Georeference("EPSG:32633", (465_000.0, 5_800_000.0, 50.0), "GPS", 1.0)
-
-
-def clsplat_(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 @pytest.fixture

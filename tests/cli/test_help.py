@@ -5,15 +5,11 @@ import subprocess
 import sys
 
 import pytest
-from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.config.option import options_of
 from clsplat.options import TrainOptions
-
-
-def clsplat_(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+from tests.cli.test_cli import clsplat_
 
 
 def test_help_lists_every_command_under_a_heading():

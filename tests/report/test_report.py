@@ -6,7 +6,9 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from clsplat.cli.main import main
 from clsplat.io.runs.run import RunFolder
 from clsplat.report import run as run_page
 from clsplat.report.charts import Chart, Line, Panel, drawn, score_chart, step_chart
@@ -266,6 +268,47 @@ def test_lines_of_a_panel_share_their_places():
 def test_of_two_points_at_one_place_the_last_is_drawn():
     records = evaluations((100, 20.0), (200, 21.0), (200, 22.0))
     assert list(score_chart(records).panels[0].lines[1].points[1]) == [20, 22]
+
+
+EVERY = ("step", "grow", "level", "reset", "eval", "plan", "warning")
+# name -> (options, records, words that the page has)
+HOSTILE = {
+    "markup in a plan": ({}, [{"event": "plan", "iteration": 0, "reasons": {"<b>": "x & y"}}],
+                         ("&lt;b&gt;", "x &amp; y")),
+    "markup in names": ({"scene": "/data/<script>x</script>", "schedule": "<i>"},
+                        [{"event": "step", "iteration": 100}], ("Schedule &lt;i&gt;",)),
+    "exposures without a fitted score": (
+        {}, [{"event": "eval", "psnr": 20.0, "exposure_weight": 0.5}], ("A model of 0",)),
+    "nulls everywhere": ({}, [{"event": event, "iteration": None, "train_seconds": None,
+                               "level": None, "gaussians": None, "loss": None, "psnr": None}
+                              for event in EVERY], ("A model of 0",)),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_any_run_has_a_page(name, tmp_path):
+    options, records, words = HOSTILE[name]
+    run = RunFolder.create(tmp_path / "run")
+    run.write_options({"scene": "/data/city", **options})
+    for record in records:
+        run.log(record)
+    html = write_report(run).read_text("utf-8")
+    Balanced(html)
+    assert all(word in html for word in words), html[-4000:]
+    assert "could not be" not in html and "<script>x" not in html
+    assert not re.search(r"\b(nan|inf)\b", html)
+
+
+@pytest.mark.parametrize("command, damage, words", [
+    ("eval", lambda run: (run.path / "options.json").write_text("{"), "options.json: damaged"),
+    ("compare", lambda run: (run.path / "metrics.jsonl").write_text("[1]\n"), "line 1 is damaged"),
+    ("compare", lambda run: (run.path / "compare.html").mkdir(), "compare.html: cannot be")])
+def test_a_damaged_run_is_refused_in_one_line(command, damage, words, tmp_path):
+    run = made_run(tmp_path / "run")
+    damage(run)
+    done = CliRunner().invoke(main, [command, str(run.path)])
+    last = done.output.strip().splitlines()[-1]
+    assert done.exit_code == 2 and last.startswith("error: ") and words in last
 
 
 @needs_chromium
