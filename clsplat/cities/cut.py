@@ -61,7 +61,7 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
             drop = DropTest(city.device, gaussians,
                             scene.reduced(small.downscale, small.max_resolution))
-        # citygs was no better for it
+        # citygs was no better for it, and vastgs counts cameras
         weights = (counted_where(gaussians, dense) if partition_options.method == "blockgs"
                    else None)
         partition = make_partition(scene, partition_options, gaussians, views, drop, weights)

@@ -2,6 +2,7 @@
 
 citygs : a grid in contracted space (Liu et al. 2024, CityGaussian, section 3.2).
 blockgs : recursive bisection into equal content (Wu et al. 2025, BlockGaussian).
+vastgs : cells with equally many cameras (Lin et al. 2024, VastGaussian, section 4.1).
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from clsplat.partition.region import (
 )
 
 if TYPE_CHECKING:
+    from clsplat.camera import Camera
     from clsplat.gaussians import Gaussians
     from clsplat.partition.options import PartitionOptions
     from clsplat.scene import Scene
@@ -42,6 +44,10 @@ IMAGE_MARGIN = 0.1  # of the image: gaussians with a centre this far outside may
 BALANCED = 1.05  # content of the fullest block over that of the mean one
 ROUNDS = 10
 MOST_SAMPLED = 100_000  # of the content, to find cells
+# of vastgs
+LEAST_FILLED = 0.25  # share of the image above which a cell that fills it is assigned the view
+RAYS_PER_SIDE = 16  # of the image, by which this share is measured
+HEIGHT_QUANTILES = (0.01, 0.99)  # of a cell's content, from its ground to its highest point
 # of tracks
 LEAST_OF_VIEW = 0.3  # share of a view's points above which a cell is assigned the view
 LEAST_OF_CELL = 0.1  # share of a cell's points above which a view is assigned to the cell
@@ -139,8 +145,10 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
     grid = options.grid or choose_grid(options.needed, side[0] / side[1])
     if options.method == "citygs":
         regions, assigned = _citygs(data, grid, options, drop)
-    else:
+    elif options.method == "blockgs":
         regions, assigned = _blockgs(data, math.prod(grid), options.margin)
+    else:
+        regions, assigned = _vastgs(data, grid, options.margin)
     regions, assigned = _join_starved(data, options, regions, assigned)
     seen = np.bincount(data.observed_views, minlength=len(data.views))
     dropped = {int(data.views[view]): "it shows too little of every block" if seen[view] else
@@ -335,6 +343,59 @@ def _bisected(region: Region, coordinates: NDArray[np.float64], weights: NDArray
     below = coordinates[:, axis] < at
     return (_bisected(lower, coordinates[below], weights[below], count // 2)
             + _bisected(upper, coordinates[~below], weights[~below], count - count // 2))
+
+
+def _vastgs(data: _Input, grid: tuple[int, int], margin: float) -> Cut:
+    """Cut the scene into N strips along u with equally many cameras, and each strip into M cells.
+
+    A view is assigned to the cells, enlarged by the margin, that contain its camera, and to those
+    whose box, from the ground to the highest point, fills more than 0.25 of its image.
+    """
+    space = data.space()
+    cameras, content = space.to(data.cameras), space.to(data.content)
+    regions = [cell for strip in _strips(Region(space, margin=margin), cameras, 0, grid[0])
+               for cell in _strips(strip, cameras, 1, grid[1])]
+    assigned = np.array([region.grown(margin).holds(cameras) for region in regions])
+    # unbounded sides end with the area of interest
+    boxes = np.array([(region.low, region.high) for region in regions]).clip(-1, 1)
+    for region, box in zip(regions, boxes):
+        inside = region.holds(content) & (data.weights > 0)
+        if inside.any():
+            box[:, 2] = quantiles(content[inside, 2], data.weights[inside], HEIGHT_QUANTILES)
+    for view, index in enumerate(data.views):
+        shares = _filled(data.scene.views[index].camera, cameras[view], space, boxes)
+        assigned[:, view] |= shares > LEAST_FILLED
+    return regions, assigned
+
+
+def _strips(region: Region, cameras: NDArray[np.float64], axis: int, count: int) -> list[Region]:
+    """Cut a Region along an axis into `count` with as nearly equally many cameras as possible."""
+    strips = []
+    for left in range(count, 1, -1):
+        along = cameras[region.holds(cameras), axis]
+        at = _best_cut(along, np.ones(len(along)), 1 / left)
+        if at is None:
+            break
+        strip, region = region.cut(axis, at)
+        strips.append(strip)
+    return [*strips, region]
+
+
+def _filled(camera: Camera, origin: NDArray[np.float64], space: Space, boxes: NDArray[np.float64]
+            ) -> NDArray[np.float64]:
+    """The share [B] of the image of a camera at `origin` whose rays meet each box [B, 2, 3] of the
+    space. (Projected corners would not do: some may lie behind the camera.)"""
+    at = (np.arange(RAYS_PER_SIDE) + 0.5) / RAYS_PER_SIDE
+    x, y = np.meshgrid((at * camera.width - camera.centre[0]) / camera.focal[0],
+                       (at * camera.height - camera.centre[1]) / camera.focal[1])
+    rays = np.stack([x, y, np.ones_like(x)], axis=2).reshape(-1, 3)
+    rays = rays @ camera.rotation @ space.rotation.T / space.half
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (boxes[:, :, None] - origin) / rays
+    enter = np.fmin.reduce(ends, axis=1).max(axis=2)
+    leave = np.fmax.reduce(ends, axis=1).min(axis=2)
+    share: NDArray[np.float64] = (leave >= np.maximum(enter, 0)).mean(axis=1)
+    return share
 
 
 def _seen_by_tracks(data: _Input, regions: Sequence[Region]) -> NDArray[np.bool_]:

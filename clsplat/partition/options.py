@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from clsplat.config.option import AUTO, check_flag, is_auto, option, options_of
 from clsplat.errors import InputError
 
-METHODS = ("citygs", "blockgs")
+METHODS = ("citygs", "blockgs", "vastgs")
 LEAST_GAUSSIANS = 100  # of a block
 MOST_BLOCKS = 10_000
 # where `auto` leaves it open: without a joint training, and with one
@@ -32,7 +32,7 @@ class PartitionOptions:
 
     method: str = option("citygs", "Blocks", "citygs: a regular grid, each block with the views "
                          "that change without it; blockgs: halves of equal content, with the views "
-                         "that see it", choices=METHODS)
+                         "that see it; vastgs: cells with equally many cameras", choices=METHODS)
     grid: tuple[int, int] | None = option(
         None, "Blocks", "number of blocks along both sides of the ground, such as 3x3; auto: as "
         "many as --block-gaussians requires", words={AUTO: None}, separator="x", minimum=1,

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.special import softmax
 
+from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
 from clsplat.partition import blocks, make
-from clsplat.partition.make import choose_grid
+from clsplat.partition.make import _filled, choose_grid
+from clsplat.partition.region import Space
 from tests.data.fields import SIDES, cut, field, world
 from tests.data.gaussians_at import gaussians_at
 
@@ -127,6 +129,41 @@ def test_citygs_assigns_a_view_to_the_cell_of_its_camera_and_to_cells_it_shows(m
         assert left_out == {*own[shown].tolist()} - {home[view]}
         assert found == {int(home[view])} | (left_out if view % 3 == 0 else set())
     assert any(len(keeps) > 1 for keeps in rendered.values())
+
+
+@pytest.mark.parametrize("grid", [(2, 2), (4, 3)])
+@pytest.mark.parametrize("seed", range(2))
+def test_vastgs_divides_cameras_evenly(grid, seed):
+    scene = field(seed)
+    owner = cut(scene, "vastgs", grid).owner([view.camera.position for view in scene.views])
+    cameras = np.bincount(owner)
+    assert len(cameras) == grid[0] * grid[1] and np.ptp(cameras) <= 2
+
+
+@pytest.mark.parametrize("box, share", [
+    (((-1, -1, 0), (0, 1, 0)), 0.125),  # 4 x 4 of the ground are in the image from a height of 2
+    (((0, 0, 0), (9, 9, 1)), 0.25),
+    (((0, -9, 0), (1, 9, 1)), 0.5),  # from the height of 1 its top fills 1 of 2
+    (((-9, -9, -9), (9, 9, 9)), 1),  # around the camera
+    (((-9, -9, 3), (9, 9, 4)), 0)])  # behind it
+def test_vastgs_measures_the_share_of_an_image(box, share):
+    above = np.array([0.0, 0, 2])
+    camera = Camera(60, 60, (30.0, 30.0), (30.0, 30.0), np.diag([1.0, -1, -1]), above)
+    space = Space(np.eye(3), np.zeros(3), np.ones(3))
+    assert _filled(camera, above, space, np.array([box], float)) == pytest.approx(share, abs=0.01)
+
+
+def test_vastgs_assigns_views_by_what_they_show():
+    scene = field(cameras=60)
+    partition = cut(scene, "vastgs", (2, 1))
+    positions = np.array([view.camera.position for view in scene.views])
+    away = np.abs(partition.space.to(positions)[:, 0] - partition.regions[0].high[0])
+    over = 0
+    for region, views in zip(partition.regions, partition.views):
+        stands, taken = region.reaches(positions), np.isin(np.arange(60), views)
+        assert taken[stands].all() and not taken[~stands & (away > 0.7)].any()
+        over += (taken & ~stands).sum()
+    assert over  # tilted ones look over the border
 
 
 @pytest.mark.parametrize("needed, aspect, grid", [
