@@ -163,11 +163,12 @@ def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[n
         write_map(file, partition, scene, counts)
 
 
-def requested_of(city: CityFolder) -> dict[str, Any]:
-    """The PartitionOptions, by name, with which a city was cut, without those of later versions."""
-    recorded = city.read_partition().get(REQUESTED) or {}
+def requested_of(city: CityFolder, key: str = REQUESTED) -> dict[str, Any]:
+    """The PartitionOptions, by name, with which a city was cut, without those of later versions;
+    with the key JOINT those of its joint training. Empty where there are none."""
+    recorded = city.read_partition().get(key) or {}
     if not isinstance(recorded, dict):
-        raise InputError(f"{city.path / PARTITION}: damaged ({REQUESTED} is "
+        raise InputError(f"{city.path / PARTITION}: damaged ({key} is "
                          f"{str(recorded)[:20]!r}); remove it, and make it with `clsplat partition "
                          f"{city.path}`")
     return recorded

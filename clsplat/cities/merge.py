@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.cities.city import City
-from clsplat.cities.cut import JOINT, draw
+from clsplat.cities.cut import JOINT, draw, requested_of
 from clsplat.cities.scene import Stage
 from clsplat.cities.seams import find_seams
 from clsplat.cities.tree import TreeBuilder
@@ -345,7 +345,7 @@ def train_jointly(city: City, merged: Merged, progress: SilentProgress | None = 
     blocks with the gaussians that now lie in their cells; `merged` if the partition has no joint
     training. Raises Interrupted, with the state saved, and DeviceError for a model too large."""
     folder, scene = city.folder, city.scene
-    given, run = folder.read_partition().get(JOINT), RunFolder(folder.joint)
+    given, run = requested_of(folder, JOINT), RunFolder(folder.joint)
     if not given:
         shutil.rmtree(run.path, ignore_errors=True)
         return merged

@@ -14,6 +14,7 @@ from clsplat.cli.flags import (
     check_free,
     device_flag,
     everything_flag,
+    host_bytes,
     host_memory_flag,
     moved_scene_flag,
 )
@@ -54,7 +55,7 @@ def _size(text: str) -> tuple[int, int]:
 @moved_scene_flag
 @device_flag
 def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: tuple[int, int],
-         fov: float | None, everything: bool, overwrite: bool, host_memory: int,
+         fov: float | None, everything: bool, overwrite: bool, host_memory: int | None,
          scene: Path | None, device: str) -> None:
     """Draw a flight through RUN as a film."""
     from dataclasses import replace
@@ -79,6 +80,7 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
     if as_film:
         films.check_codec()
     opened = Run.open(run)
+    most = host_bytes(host_memory, run)
     data = opened.scene(scene).with_up(opened.up)
     count = max(1, round(seconds * fps))
     times = np.linspace(0, 1, count)
@@ -93,8 +95,7 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
     cameras = paths.interpolated(keys, times, size, fov or paths.film_degrees(data))
     with Progress() as progress:
         progress.phase("opening the device")
-        pictures = films.frames(opened, data, cameras, choose_device(device), host_memory << 20,
-                                everything)
+        pictures = films.frames(opened, data, cameras, choose_device(device), most, everything)
         shown = partial(progress.count, "frame", total=count)
         if as_film:
             films.write_film(output, pictures, size, Fraction(fps).limit_denominator(1001), shown)

@@ -248,8 +248,20 @@ everything_flag = click.option("--everything", is_flag=True, help="Keep gaussian
 
 
 host_memory_flag = click.option(
-    "--host-memory", type=click.IntRange(16), default=1024, show_default=True, metavar="MIB",
-    help="Host memory, MiB, for what is drawn of a city with a tree.")
+    "--host-memory", type=click.IntRange(16), metavar="MIB",
+    help="Host memory, MiB, for what is drawn of a city with a tree. Default: 1024.")
+
+
+def host_bytes(host_memory: int | None, model: Path) -> int:
+    """--host-memory in bytes; InputError where it is given for a model that has no tree."""
+    from clsplat.io.models.tree import TREE
+    from clsplat.rendering.tree import HOST_BYTES
+    if host_memory is None:
+        return HOST_BYTES
+    if not (model / TREE).is_file():
+        raise InputError(f"--host-memory: has no effect on {model}, which is no city with a tree; "
+                         "leave it out")
+    return host_memory << 20
 
 
 def check_free(output: Path, overwrite: bool) -> None:

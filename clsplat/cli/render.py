@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import device_flag, host_memory_flag
+from clsplat.cli.flags import device_flag, host_bytes, host_memory_flag
 from clsplat.errors import InputError
 
 
@@ -22,7 +22,7 @@ from clsplat.errors import InputError
 @host_memory_flag
 @device_flag
 def render(model: Path, scene: Path | None, output: Path, views: str, beside: bool,
-           host_memory: int, device: str) -> None:
+           host_memory: int | None, device: str) -> None:
     """Render a run, or a file of gaussians, from the cameras of a scene.
 
     A city that was merged with --tree is read in parts, and need not fit memory.
@@ -33,6 +33,7 @@ def render(model: Path, scene: Path | None, output: Path, views: str, beside: bo
     from clsplat.evaluation.run import Run, has_tree, open_tree, scene_of_views, to_render
     from clsplat.evaluation.views import opened, render_view, render_views
     run = Run.open(model) if model.is_dir() else None
+    most = host_bytes(host_memory, model)
     if run and has_tree(run):
         options = run.options
         data = scene_of_views(run, scene).reduced(options.downscale, options.max_resolution)
@@ -43,8 +44,7 @@ def render(model: Path, scene: Path | None, output: Path, views: str, beside: bo
     if not chosen:
         raise InputError(f"{data.name}: has no {views} views; choose others with --views")
     if run and has_tree(run):
-        renderer, tree = open_tree(run, choose_device(device), data.near(options.near),
-                                   host_memory << 20)
+        renderer, tree = open_tree(run, choose_device(device), data.near(options.near), most)
         render_views(lambda camera: render_view(
             renderer, tree, tree.sh_degree, camera.shifted(tree.offset - data.offset)),
             chosen, output, beside)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import device_flag, host_memory_flag
+from clsplat.cli.flags import device_flag, host_bytes, host_memory_flag
 
 
 @click.command(short_help="Look at the model of RUN in the browser.")
@@ -15,7 +15,7 @@ from clsplat.cli.flags import device_flag, host_memory_flag
               help="Port of the page; default: any that is free.")
 @host_memory_flag
 @device_flag
-def view(run: Path, port: int, host_memory: int, device: str) -> None:
+def view(run: Path, port: int, host_memory: int | None, device: str) -> None:
     """Show the model of RUN on a page for the browser, until Ctrl-C.
 
     clsplat draws every frame itself, so the page works in any browser. It can only be opened on
@@ -24,8 +24,10 @@ def view(run: Path, port: int, host_memory: int, device: str) -> None:
     from clsplat.apps.live import show_run
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
+    opened = Run.open(run)
+    most = host_bytes(host_memory, run)
     try:
-        show_run(Run.open(run), choose_device(device), announce, port, host_memory << 20)
+        show_run(opened, choose_device(device), announce, port, most)
     except KeyboardInterrupt:
         click.echo("closed")
 

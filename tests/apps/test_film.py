@@ -163,6 +163,7 @@ def test_a_film(tmp_path, command):
     (("film.avi",), "unknown suffix"), (("film.mp4", "--size", "63x48"), "even numbers"),
     (("film.mp4", "--size", "63"), "not a size"),
     (("film.mp4", "--path", "none.json"), "none.json"),
+    (("film.mp4", "--host-memory", "64"), "--host-memory: has no effect on run, which is no city"),
 ])
 def test_wrong_words_get_a_line(tmp_path, command, words, message):
     pytest.importorskip("av", reason="av is not installed (extra film)")

@@ -220,6 +220,17 @@ def test_a_block_that_does_not_fit_its_device_is_named(copy, monkeypatch, capsys
     assert "--block-gaussians" in error and "1 of 2 blocks cannot be merged" in error
 
 
+def test_a_model_that_cannot_be_written_loses_nothing(copy, capsys):
+    before, blocking = model(copy), copy.path / "point_cloud.ply.part"
+    (copy.path / "point_cloud.ply").unlink()
+    blocking.mkdir()
+    city(copy.path, code=2)
+    assert "cannot be written" in capsys.readouterr().err
+    blocking.rmdir()
+    city(copy.path)
+    assert model(copy) == before
+
+
 @pytest.mark.slow
 def test_two_workers_end_in_the_same(copy):
     def scores():

@@ -12,8 +12,8 @@ import pytest
 
 from clsplat.cities import merge as merging
 from clsplat.cities.city import City, train_coarse
-from clsplat.cities.cut import JOINT
-from clsplat.cities.merge import Merged, begin_with, joint_options, merged_city
+from clsplat.cities.cut import JOINT, requested_of
+from clsplat.cities.merge import Merged, begin_with, joint_options, merged_city, train_jointly
 from clsplat.cities.run import chosen_partition
 from clsplat.device import choose_device
 from clsplat.errors import DeviceError, InputError, Interrupted, OutOfDeviceMemory
@@ -147,6 +147,14 @@ def test_a_limit_of_gaussians_is_one_of_each_block(folder, merged):
 def test_damaged_options_are_named(folder, given, cause):
     with pytest.raises(InputError, match=f"partition.json: .*{cause}"):
         joint_options(whole_of(folder), given, 9)
+
+
+def test_options_that_are_no_table_are_named(folder, merged):
+    folder.write_partition({"asked": [1], JOINT: "many"})
+    for key, read in (("asked", lambda: requested_of(folder)),
+                      (JOINT, lambda: train_jointly(whole_of(folder), merged))):
+        with pytest.raises(InputError, match=rf"partition.json: damaged \({key} is .*; remove it"):
+            read()
 
 
 @pytest.mark.parametrize("error", [OutOfDeviceMemory, DeviceError])

@@ -47,6 +47,15 @@ def test_no_view_misses_a_point(count):
             assert not (expected & ~near_view).any()
 
 
+def test_a_view_is_compared_with_few():
+    positions, _ = strewn(100 * CLUSTER)
+    clusters = Clusters(positions, np.full(len(positions), 0.01))
+    for camera in cameras(10):
+        below = camera.position * (1, 1, 0)
+        camera = Camera.looking_at(below, below + (0.1, 0.1, 20), width=64, height=40)
+        assert len(clusters.near_view(camera, 0.01)) < 0.2 * len(positions)
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_points_that_are_not_finite_hide_no_others(value):
     positions, deviations = strewn(4 * CLUSTER)
