@@ -162,17 +162,14 @@ class _Problem:
             [shift.real, shift.imag, np.median(heights) if len(heights) else 0.0]))
 
     def _free_start(self, rng: np.random.Generator) -> Similarity | None:
-        rows = np.flatnonzero(self.has_height)
-        best, least = None, np.inf
-        for sample in _samples(rng, len(rows), 3):
-            similarity = _fitted(self.places[rows[sample]], self.positions[rows[sample]])
-            if similarity is None:
-                continue
-            away = similarity(self.places[rows]) - self.positions[rows]
-            error = _typical(np.linalg.norm(away, axis=1) / self.horizontal_std[rows])
-            if error < least:
-                best, least = similarity, error
-        return best
+        places, positions, std = (values[self.has_height] for values in (
+            self.places, self.positions, self.horizontal_std))
+
+        def error(similarity: Similarity) -> float:
+            return _typical(np.linalg.norm(similarity(places) - positions, axis=1) / std)
+
+        fits = (_fitted(places[rows], positions[rows]) for rows in _samples(rng, len(places), 3))
+        return min(filter(None, fits), key=error, default=None)
 
     def _deviations(self, similarity: Similarity) -> tuple[float, float]:
         """Robust standard deviations, along one axis of the ground and upwards, metres."""

@@ -165,7 +165,7 @@ def cloud_on_map(system: Any, target: str, points: NDArray[np.float64], path: Pa
     """Points float64[N, 3] of a file with a pyproj.CRS, east or longitude first, in the CRS of a
     scene; None if they are in it already. Heights become metres, above whatever they were measured
     from."""
-    flat, unit = _flat(system), _heights(system).metres
+    flat, unit = _flat(system), heights_of(system).metres
     if unit == 1 and flat.equals(_flat(pyproj_crs(target, "the scene")), ignore_axis_order=True):
         return None
     convert = conversion(flat.to_wkt(), target, f"{path}: CRS")
@@ -211,12 +211,9 @@ class Heights(NamedTuple):
     unit: str
 
 
-def heights_of(crs: str) -> Heights:
-    """What the third coordinates of a CRS are, as `normal_crs` returns it."""
-    return _heights(pyproj_crs(crs, "CRS"))
-
-
-def _heights(system: Any) -> Heights:
+def heights_of(crs: Any) -> Heights:
+    """What the third coordinates of a CRS are, of a pyproj.CRS or as `normal_crs` returns it."""
+    system = pyproj_crs(crs, "CRS")
     axes = system.axis_info
     if len(axes) > 2:
         name = (system.sub_crs_list[1].name if system.is_compound else
@@ -227,7 +224,7 @@ def _heights(system: Any) -> Heights:
     return Heights("", axes[0].unit_conversion_factor, axes[0].unit_name)
 
 
-def pyproj_crs(text: str, name: str) -> Any:
+def pyproj_crs(text: Any, name: str) -> Any:
     """The pyproj.CRS of a text; InputError, with this name of the option or file, if there is none.
     """
     import pyproj
