@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from clsplat.config.option import AUTO, differences
+from clsplat.config.option import AUTO, differences, is_auto
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
@@ -28,7 +28,7 @@ from clsplat.io.runs.run import CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.scene import Scene, View
-from clsplat.schedule import SceneFacts, chooses_steps, worthwhile_steps
+from clsplat.schedule import SceneFacts, worthwhile_steps
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
@@ -183,8 +183,8 @@ def _options_before(run: Run) -> TrainOptions:
     return dataclasses.replace(
         coarse, coarse=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
         max_resolution=COARSE_FACTOR * coarse.max_resolution,
-        iterations=(int(coarse.iterations / COARSE_SHARE) if chooses_steps(coarse) else
-                    coarse.iterations))
+        iterations=(coarse.iterations if is_auto(coarse.iterations) else
+                    int(coarse.iterations / COARSE_SHARE)))
 
 
 def find_dense_gaussians(city: City, progress: SilentProgress | None = None) -> None:

@@ -9,12 +9,11 @@ Other packages register theirs (registry.py).
 from clsplat.schedule.plan import Plan, SceneFacts, Schedule
 from clsplat.schedule.registry import OURS, schedule_of
 from clsplat.schedule.steps import (
-    chooses_steps,
     laid_over,
     planned_steps,
     scaled_steps,
     worthwhile_steps,
 )
 
-__all__ = ["OURS", "Plan", "SceneFacts", "Schedule", "chooses_steps", "laid_over",
+__all__ = ["OURS", "Plan", "SceneFacts", "Schedule", "laid_over",
            "planned_steps", "scaled_steps", "schedule_of", "worthwhile_steps"]

@@ -21,17 +21,12 @@ PUBLISHED_LENGTH = 30_000  # steps, of 3DGS (Kerbl et al. 2023)
 STEPS_A_PHOTO = 300  # steps a photo, after which held-out photos of small sets get worse: judge.md
 
 
-def chooses_steps(options: RunOptions) -> bool:
-    """Whether the options have a number of steps, which is auto otherwise."""
-    return not is_auto(options.iterations)
-
-
 def planned_steps(options: RunOptions, photos: int) -> tuple[int, str]:
     """The length of a run, before `steps_scale`, and a sentence with the reason.
 
     Few photos are learned in fewer steps than many, and more steps over-fit them.
     """
-    if chooses_steps(options):
+    if not is_auto(options.iterations):
         return options.iterations, f"{options.iterations:,}: requested"
     steps = min(max(STEPS_A_PHOTO * photos, FULL_LENGTH), PUBLISHED_LENGTH)
     if options.time_budget:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
@@ -89,13 +88,13 @@ class Model:
         for name, (first, values) in growth.changes.items():
             self._arrays[name].write(values, first)
 
-    def limit_opacity(self, logit: float, which: NDArray[np.bool_] | None = None) -> None:
-        """Limit opacity logits, of the gaussians `which` [N] alone, and reset the moments of all
+    def limit_opacity(self, logit: float) -> None:
+        """Limit opacity logits, of the gaussians that are trained, and reset the moments of all
         opacities (Kerbl et al. 2023)."""
         self.catch_up()
         logits = self.rows["opacity_logits"]
-        values = logits.download()
-        logits.write(np.minimum(values, logit, out=values, where=True if which is None else which))
+        values, trained = logits.download(), self.frozen is None or self.frozen.download() == 0
+        logits.write(np.minimum(values, logit, out=values, where=trained))
         self.adam.reset("opacity_logits")
 
 

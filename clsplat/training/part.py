@@ -44,19 +44,17 @@ Inputs = Mapping[str, Any]  # of a part, in one view of one step
 State = Mapping[str, NDArray[Any]]
 
 
-@dataclass(frozen=True)
-class Decision:
+class Decision(NamedTuple):
     """A decision that was made before training."""
 
     value: Any
     reason: str  # a sentence that begins with the value and gives the number behind it
-    requested: bool = False  # whether an option decided instead of the scene
     found: Any = None  # what the search for the decision found besides, for the part that needs it
 
 
 def requested(value: Any) -> Decision:
     """The decision that an option asks for."""
-    return Decision(value, f"{value}: requested", requested=True)
+    return Decision(value, f"{value}: requested")
 
 
 class Survey(NamedTuple):

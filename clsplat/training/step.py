@@ -81,11 +81,6 @@ class Step:
         return self._model
 
     @property
-    def frozen(self) -> Array | None:
-        """uint[N] on the device; not 0 for gaussians that are not trained; None: all are."""
-        return self._model.frozen
-
-    @property
     def statistics(self) -> Statistics:
         """Screen gradients since the last growth or change of level."""
         self.settle()
@@ -139,7 +134,7 @@ class Step:
                 measured[given.slot] = self._take(given)
                 if given.slot == views - 1:
                     self._model.adam.advance(iteration, plan.degree, self._learned,
-                                             self.frozen, self.units.counts)
+                                             self._model.frozen, self.units.counts)
             self.units.submit(Unit(work, partial(self._make_room, given)))
         return measured
 
@@ -169,14 +164,15 @@ class Step:
         """The pass of a sample, from the camera that the given parts correct; `view` is an input of
         a recording instead of `sample.view`."""
         work = ViewPass(sample.view if view is None else view, sample.camera, sample.camera,
-                        sample.photo, self._model.rows, self.units.counts, self.frozen)
+                        sample.photo, self._model.rows, self.units.counts, self._model.frozen)
         for part, own in parts:
             part.camera(work, own)
         return work
 
     def _take(self, given: _Given) -> Measured:
         """Enqueue the work of a sample."""
-        state = (self._model.layout, self._statistics.grad_norm_sum, self.frozen, self.options)
+        model = self._model
+        state = model.layout, self._statistics.grad_norm_sum, model.frozen, self.options
         if any(new is not old for new, old in zip(state, self._recorded_for)):
             self._graphs.clear()
             self._recorded_for = state
@@ -218,7 +214,7 @@ class Step:
         plan, numbers, parts = given.plan, given.numbers, given.parts
         views, used, measured = self.options.batch, self._used(plan.degree), Measured()
         work = self.pass_of(given.sample, parts, view)
-        self._model.adam.catch_up_seen(self._learned(), numbers, plan.degree, self.frozen,
+        self._model.adam.catch_up_seen(self._learned(), numbers, plan.degree, self._model.frozen,
                                        work.camera, self.units.counts)
         work.gradients = self._gradients(given, work, room, measured)
         del work.frame, work.grad  # so that what follows uses their memory
@@ -230,7 +226,7 @@ class Step:
             if given.slot < views - 1:
                 return measured
             gradients = self._batch.mean(self.units.counts, used, self.count if room else None)
-        self._model.adam.apply(self._learned(), gradients, numbers, used, self.frozen)
+        self._model.adam.apply(self._learned(), gradients, numbers, used, self._model.frozen)
         for part, own in parts:
             part.move(work, own)
         return measured
@@ -252,7 +248,7 @@ class Step:
         grad = work.grad
         assert grad.image is not None  # a term of the loss compares the image
         return self.renderer.adjoint(
-            work.rows, work.frame, grad.image, grad.depth, grad.transmittance, self.frozen,
+            work.rows, work.frame, grad.image, grad.depth, grad.transmittance, self._model.frozen,
             self._statistics.sums if plan.gathers else None,
             photo if is_masked(photo) and given.sample.own_mask else None,
             any(part.needs_pose for part, _ in parts))
@@ -275,8 +271,7 @@ class Step:
         cloned, split and pruned; None without growth."""
         event = self._grow(iteration, plan, schedule, scoring_views) if plan.grows else None
         if plan.resets_opacity:
-            self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)),
-                                     None if self.frozen is None else self.frozen.download() == 0)
+            self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)))
         return event
 
     def begin_level(self) -> None:
@@ -307,7 +302,8 @@ class Step:
         model, statistics = self.model, self.statistics
         model.catch_up()
         self.rows_changed()
-        frozen = np.zeros(model.count, bool) if self.frozen is None else self.frozen.download() > 0
+        frozen = np.zeros(model.count, bool) if model.frozen is None else (
+            model.frozen.download() > 0)
         rows = {field.name: model.rows[field.name].download() for field in FIELDS
                 if field.name in model.rows and not field.name.startswith("sh_")}
         growth = schedule.grow(MeasuredRound(

@@ -46,8 +46,7 @@ class Reprojection(Part):
         paired = sum(len(adjacent) > 0 for adjacent in neighbours)
         if paired:
             return {"reproject": Decision(
-                "on", f"on: {paired} of {len(views)} photos have an adjacent one",
-                options.reproject == "on", neighbours)}
+                "on", f"on: {paired} of {len(views)} photos have an adjacent one", neighbours)}
         if options.reproject == "on":
             raise InputError(f"{survey.scene.name}: --reproject on needs two photos that share 20 "
                              "sparse points; there are none: use --reproject auto or off")
