@@ -114,19 +114,6 @@ def test_what_lies_beside_the_surface_is_left_out_but_sparse_points_stay():
     assert (merged.positions[:, 2] > 0.1).sum() == 1 and merged.positions[:, 2].max() == 2
 
 
-def test_few_sizes_are_tried_for_the_number_that_is_wanted(monkeypatch):
-    rng = np.random.default_rng(0)
-    surface = points_at(np.column_stack([rng.uniform(0, 1, (50_000, 2)), np.zeros(50_000)]),
-                        size=1e-4)
-    tried, in_cells = [], stereo_module._in_cells
-    monkeypatch.setattr(stereo_module, "_in_cells",
-                        lambda points, pixels: tried.append(pixels) or in_cells(points, pixels))
-    for most in (25, 1000, 5000):
-        tried.clear()
-        assert 0.8 * most < len(merge(surface, most).sizes) <= most
-        assert tried[0] == 1 and len(tried) < 12
-
-
 def test_near_places_get_small_cells():
     """Alike many on a near plane and on one four times as far, where pixels are as much larger."""
     rng = np.random.default_rng(0)
