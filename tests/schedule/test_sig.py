@@ -5,13 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from clsplat.errors import InputError
-from clsplat.options import resolve
 from clsplat.schedule.sig import (
     GROWS_SHARE,
     LEVELS,
     ROUND_STEPS,
-    chosen_levels,
 )
 from tests.schedule.driven_sig import (
     PRESETS,
@@ -34,11 +31,6 @@ def test_one_level_is_all_there_is():
     assert not decisions(taken) and {plan.level for _, plan, _ in taken} == {1.0}
     assert len(rounds(taken, 1.0)) == schedule.options.rounds
     assert schedule.last and schedule.latest is None
-
-
-def test_levels_too_coarse_for_the_photos_are_refused():
-    with pytest.raises(InputError, match="^--levels: level 5 would train on images of 19 x 12 pix"):
-        chosen_levels(resolve({}, {"preset": "paper"}), (96, 64))
 
 
 # --- when levels end
