@@ -194,12 +194,13 @@ def test_a_coarse_run_has_smaller_photos(schedule):
 def test_blocks_follow_the_coarse_run(tmp_path):
     coarse = RunFolder(tmp_path)
     given = {"exposure": "auto", "coarse": True, "iterations": 9, "test_offset": 3, "sh_every": 50}
-    coarse.write_options({"decisions": {"exposure": "on", "sh_degree": 2, "levels": [2.0, 1.0]}})
+    coarse.write_options({"decisions": {"exposure": "on", "vignetting": "off", "sh_degree": 2,
+                                        "levels": [2.0, 1.0]}})
     options = resolve({}, options_of_blocks(given, decided_by(coarse)))
     assert (options.exposure, options.sh_degree) == ("on", 2)
     assert options.test_every == options.test_offset == 0
     assert (options.coarse, options.downscale, options.iterations) == (False, 1, 9)
-    assert options.sh_every == 50 and options.vignetting == "off"  # of old runs
+    assert options.sh_every == 50 and options.vignetting == "off"
 
 
 # --- the command
