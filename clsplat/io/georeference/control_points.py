@@ -1,10 +1,6 @@
 """Reads ground control points: places with known coordinates that were marked in photos.
 
-The coordinate reference system (CRS) stands in the first line, unless it is given otherwise. Then
-each line holds the coordinates of a point, its pixel position in a photo, the photo's name and, if
-it has one, the point's name: in the order of OpenDroneMap's gcp_list.txt, or of a header with the
-names of COLUMNS or of WebODM. Tabs, semicolons, commas or spaces separate them; between semicolons
-numbers may have decimal commas. Lines that begin with # are ignored.
+docs/guide/georeference.md has the format.
 """
 
 from __future__ import annotations

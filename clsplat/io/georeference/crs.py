@@ -202,9 +202,8 @@ def _flat(system: Any) -> Any:
 
 
 class Heights(NamedTuple):
-    """What the third coordinates of a CRS are: the name of its vertical part, "" if it has none;
-    the metres of their unit, which is that of x and y without a vertical part, and the metre with
-    degrees; and the name of the unit."""
+    """The name of the vertical part, "" without one; metres of the unit, and its name. Without a
+    vertical part the unit is that of x and y, and the metre with degrees."""
 
     name: str
     metres: float

@@ -1,14 +1,7 @@
 """Masks of photos: which pixels count in training and in scores.
 
 A mask is an image that is dark where the photo does not count. Nor do transparent pixels of a photo
-with alpha, and those that a lens does not show. Masks have the names that other programs give them:
-
-| program | mask of a/b.jpg |
-|---|---|
-| COLMAP, Meshroom, this one | masks/a/b.jpg.png, masks/a/b.png |
-| OpenDroneMap, Metashape, OpenMVS | a/b_mask.jpg, a/b_mask.png |
-| RealityScan | a/b.jpg.mask.png, a/.mask/b.png |
-| others | masks/, mask/, ... in the folder of the photos or beside it, with the name of the photo |
+with alpha, and those that a lens does not show. docs/guide/photos.md has the names of masks.
 """
 
 import os
