@@ -8,7 +8,6 @@ fit: else nothing behind them would ever be reached.
 import gzip
 import io
 import re
-import struct
 import zipfile
 import zlib
 
@@ -82,9 +81,8 @@ def splice(random, data, other):
 def number(random, data, other):
     """An extreme value over some bytes, most often where a multiple of 4 begins or in the head."""
     if random.random() < 0.3:
-        value = struct.pack(random.choice("<>") + random.choice("fd"), 0)
-        value = struct.pack("<d", random.choice(FLOATS)) if len(value) == 8 else np.float32(
-            min(random.choice(FLOATS), 3e38)).tobytes()
+        with np.errstate(over="ignore"):
+            value = np.array(random.choice(FLOATS)).astype(random.choice(("<f4", "<f8"))).tobytes()
     else:
         width = random.choice((1, 2, 4, 8))
         value = (random.choice(INTEGERS) % 256**width).to_bytes(
@@ -160,8 +158,7 @@ def _members(data):
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return {name: archive.read(name) for name in archive.namelist()}
-    except (OSError, ValueError, NotImplementedError, RuntimeError, zipfile.BadZipFile,
-            zlib.error, EOFError):  # an earlier mutation hit it
+    except Exception:  # an earlier mutation hit it
         return {}
 
 

@@ -5,9 +5,15 @@ What a reader accepts must be usable, so `read` also looks at what it got: an as
 is a fault as much as a traceback.
 """
 
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
 import numpy as np
 
 from clsplat.camera import Camera
+from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.control_points import read_control_points
 from clsplat.io.georeference.files import (
@@ -20,26 +26,83 @@ from clsplat.io.models.formats import read_model, write_model
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.photos.images import image_size, read_image, write_image
 from clsplat.io.photos.metadata import read_metadata
-from clsplat.io.scenes.read import read_scene
+from clsplat.io.photos.views import read_photo
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import from_toml, resolve
-from tests.adversarial.fuzz.reader import Reader, check, gaussians_like, usable
 from tests.data import layouts, projects
 from tests.data.tiny_model import reconstruction, write_scene
 from tests.io.photos.test_metadata import GPS, photo
 
+
+@dataclass(frozen=True)
+class Reader:
+    """make: called with an empty folder, yields those below it that are seeds; read: called with a
+    seed's folder; text: whether its files are lines of fields; files: suffixes of those mutated."""
+
+    make: Callable
+    read: Callable
+    text: bool = False
+    files: tuple[str, ...] = ("",)
+
+    def seeds(self):
+        """List of {relative path: bytes}, the same whenever it is called."""
+        with tempfile.TemporaryDirectory(prefix="clsplat-fuzz-") as folder:
+            return [{file.relative_to(seed).as_posix(): file.read_bytes()
+                     for file in sorted(seed.rglob("*")) if file.is_file()}
+                    for seed in self.make(Path(folder))]
+
+
+def usable(scene):
+    """A scene that was accepted can be trained."""
+    assert scene.views and len(scene.points) == len(scene.colours)
+    assert np.isfinite(scene.points).all() and np.isfinite(scene.offset).all()
+    assert 0 < scene.extent < np.inf and scene.near_plane > 0
+    for view in scene.views:
+        camera = view.camera
+        numbers = (camera.width, camera.height, *camera.focal, *camera.centre)
+        assert np.isfinite(numbers).all() and np.isfinite(camera.position).all()
+        camera.reduced(2)
+        assert read_photo(view).shape == (camera.height, camera.width, 3)
+    assert len(fingerprint(scene)) == 64
+    if scene.observations is not None:
+        assert scene.observations.min() >= 0
+        assert (scene.observations.max(axis=0) < (len(scene.points), len(scene.views))).all()
+
+
+def gaussians_like(count, degree, seed=0):
+    """Gaussians with random values in all rows."""
+    random = np.random.default_rng(seed)
+    made = Gaussians.from_points(random.normal(size=(count, 3)), random.integers(
+        0, 256, (count, 3), dtype=np.uint8), degree)
+    rows = {**made.rows, "anchors": made.positions + 1, "max_offsets": made.opacity_logits + 9}
+    return Gaussians(rows, degree)
+
+
+def check(gaussians):
+    """Gaussians that were accepted can be rendered."""
+    for values in gaussians.rows.values():
+        assert values.dtype in (np.float32, np.float64) and len(values) == gaussians.count
+        assert np.isfinite(values).all()
+
+def numbered(folder, items):
+    """(a folder of its own, made, item) of each."""
+    for number, item in enumerate(items):
+        (folder / str(number)).mkdir()
+        yield folder / str(number), item
+
+
 # --- scenes, models, options
+
+PLACE = Georeference("EPSG:32632", (5e5, 5.3e6, 200.0), "made", 0.1)
 
 
 def _model(suffix):
     """The reader of a format, whose seeds are one file each."""
     def make(folder):
-        for number, (count, degree) in enumerate(((6, 0), (300, 3))):
-            seed = folder / str(number)
-            seed.mkdir()
-            place = Georeference("EPSG:32632", (5e5, 5.3e6, 200.0), "made", 0.1)
-            write_model(seed / f"model{suffix}", gaussians_like(count, degree).located(
-                np.array([2.0, 3.0, 4.0]) * number), ("made",), np.array([0.0, 0.0, 1.0]),
-                place if number and suffix == ".las" else None)
+        for seed, (count, degree) in numbered(folder, ((6, 0), (300, 3))):
+            model = gaussians_like(count, degree).located(np.array([2.0, 3.0, 4.0]) * (degree > 0))
+            write_model(seed / f"model{suffix}", model, ("made",), np.array([0.0, 0.0, 1.0]),
+                        PLACE if degree and suffix == ".las" else None)
             yield seed
     return Reader(make, lambda folder: check(read_model(folder / f"model{suffix}")),
                   files=(suffix,))
@@ -66,9 +129,8 @@ def _scene(folder):
 
 
 def _made_plys(folder):
-    for number, (count, degree, sphere) in enumerate(((5, 0, True), (3, 1, False), (2, 3, False))):
-        seed = folder / str(number)
-        seed.mkdir()
+    for seed, (count, degree, sphere) in numbered(
+            folder, ((5, 0, True), (3, 1, False), (2, 3, False))):
         write_ply(seed / "model.ply", gaussians_like(count, degree), (1.5, 2.0, 3e6), ("made",),
                   sphere)
         yield seed
@@ -87,10 +149,8 @@ def _ply(folder):
 
 def _made_images(folder):
     noise = np.random.default_rng(0).integers(0, 256, (24, 32, 4), dtype=np.uint8)
-    for number, (name, channels) in enumerate(
-            (("a.jpg", 3), ("a.png", 3), ("a.png", 4), ("a.png", 1), ("a.jpg", 1))):
-        seed = folder / str(number)
-        seed.mkdir()
+    for seed, (name, channels) in numbered(
+            folder, (("a.jpg", 3), ("a.png", 3), ("a.png", 4), ("a.png", 1), ("a.jpg", 1))):
         write_image(seed / name, noise[..., :channels], quality=60)
         (seed / name).rename(seed / "image")  # what it is must be told from its bytes
         yield seed
@@ -118,13 +178,11 @@ def _made_transforms(folder):
 
 
 def _made_options(folder):
-    for number, lines in enumerate((
+    for seed, lines in numbered(folder, (
             ("iterations = 500", "downscale = 2.5", "levels = [4.0, 2.0, 1.0]", "size = 'L'",
              "background = [0.0, 0.5, 1.0]", "sphere = false", "preset = \"paper\""),
             ("# a comment", "time-budget = '10m'", "schedule = 'dash'", "seed = 3", "init = 'sfm'",
              "eval_at = [100, 200]", "antialiased = true", "grow-threshold = 1e-4"))):
-        seed = folder / str(number)
-        seed.mkdir()
         (seed / "run.toml").write_text("\n".join(lines) + "\n")
         yield seed
 
@@ -148,10 +206,9 @@ def _finite(*values):
 
 
 def _metadata(folder):
-    for number, (exif, xmp) in enumerate(((EXIF, DJI), (EXIF, None), ({}, DJI))):
-        (folder / str(number)).mkdir()
-        photo(folder / str(number) / "photo.jpg", exif, xmp, size=(24, 16))
-        yield folder / str(number)
+    for seed, (exif, xmp) in numbered(folder, ((EXIF, DJI), (EXIF, None), ({}, DJI))):
+        photo(seed / "photo.jpg", exif, xmp, size=(24, 16))
+        yield seed
 
 
 def _read_metadata(folder):
@@ -164,11 +221,9 @@ def _read_metadata(folder):
 
 def _georeferences(folder):
     view = Camera.looking_at((0, 0, 0), (1, 2, 3))
-    for number, crs in enumerate(("EPSG:32632", 'PROJCRS["made"]')):
-        seed = folder / str(number)
-        seed.mkdir()
-        write_georeference(seed, Georeference(crs, (5e5, 5.3e6, 200.0), "made", 0.1))
-        write_orientation(seed, (0.0, 0.6, 0.8), view if number else None)
+    for seed, (crs, looking) in numbered(folder, ((PLACE.crs, None), ('PROJCRS["made"]', view))):
+        write_georeference(seed, replace(PLACE, crs=crs))
+        write_orientation(seed, (0.0, 0.6, 0.8), looking)
         yield seed
 
 
@@ -184,14 +239,13 @@ def _georeference(folder):
 
 
 def _control_points(folder):
-    for number, lines in enumerate((
+    for seed, lines in numbered(folder, (
             ("EPSG:32632", "500010.5 5300020 210 100 200 a.jpg one", "500010.5 5300020 210 120 190 "
              "b.jpg one", "500050 5300090 212 10 20 a.jpg two"),
             ("EPSG:4326", "name,x,y,z,pixel_x,pixel_y,image", "one,9.0,47.8,210,100,200,a.jpg",
              "two,9.001,47.801,212,10,20,a.jpg"))):
-        (folder / str(number)).mkdir()
-        (folder / str(number) / "gcp.txt").write_text("\n".join(lines) + "\n")
-        yield folder / str(number)
+        (seed / "gcp.txt").write_text("\n".join(lines) + "\n")
+        yield seed
 
 
 def _read_control_points(folder):
