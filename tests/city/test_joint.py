@@ -1,7 +1,6 @@
 """The joint training of a merged city: when there is one, with what it begins, and what it ends in.
 """
 
-import json
 import shutil
 import signal
 from dataclasses import replace
@@ -183,8 +182,13 @@ def trained(tmp_path_factory):
 @pytest.mark.slow
 def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     run, joint = RunFolder(trained.path), RunFolder(trained.joint)
-    offset = np.array(run.read_options()["offset"])
-    assert joint.read_options()["iterations"] == 30 and joint.is_finished
+    offset, scene, record = np.array(run.read_options()["offset"]), read_scene(CITY), (
+        joint.read_options())
+    assert record["iterations"] == 30 and joint.is_finished
+    # it has the scene of one run: the same extent, and the same views held out
+    assert record["test_every"] == trained.read()["options"]["test_every"] == 8
+    assert record["fingerprint"] == fingerprint(scene)
+    assert record["extent"] == pytest.approx(scene.extent)
     assert not (trained.joint / "report.html").exists()
     whole, end = run.load_model(offset), joint.load_model(offset)
     assert whole.count == end.count
@@ -202,7 +206,8 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     page = (run.path / "report.html").read_text()
     assert "as a whole for 30 steps" in page
     assert "overlap" not in page  # the blocks' own gaussians are not shown
-    assert not any(record["event"] == "eval" for record in RunFolder(trained.coarse).records())
+    assert not any(record["event"] == "eval" for part in (trained.coarse, trained.joint)
+                   for record in RunFolder(part).records())
 
 
 @pytest.mark.slow
@@ -254,15 +259,3 @@ def test_an_interrupt_in_the_last_step_of_a_part_stops_the_city(tmp_path, item_d
     finally:
         signal.signal(signal.SIGINT, before)
     assert run.is_finished
-
-
-@pytest.mark.slow
-def test_held_out_photos_are_not_trained_on(trained):
-    """The joint training has the scene of one run: the same extent, and the same views held out,
-    of which none is evaluated before the end."""
-    record, scene = RunFolder(trained.joint).read_options(), read_scene(CITY)
-    assert record["test_every"] == trained.read()["options"]["test_every"] == 8
-    assert record["fingerprint"] == fingerprint(scene)
-    assert record["extent"] == pytest.approx(scene.extent)
-    seen = json.loads((trained.joint / "metrics.jsonl").read_text().splitlines()[0])
-    assert seen["event"] == "plan" and "eval" not in (trained.joint / "metrics.jsonl").read_text()

@@ -11,7 +11,7 @@ from clsplat.cities.city import City
 from clsplat.cities.merge import joined, merge, merged_city
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.models.ply import read_ply, start_comment, write_ply
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
@@ -74,9 +74,10 @@ def city(trained_city, tmp_path):
     return CityFolder(shutil.copytree(trained_city.path, tmp_path / "city", symlinks=True))
 
 
-def finish(block, gaussians, offset):
+def finish(block, gaussians, offset, start=None):
     block.run.mkdir(exist_ok=True)
-    write_ply(block.run / "point_cloud.ply", gaussians, offset)
+    write_ply(block.run / "point_cloud.ply", gaussians, offset,
+              start_comment(start or block.start()))
 
 
 def sorted_rows(gaussians):
@@ -90,23 +91,18 @@ def states(merged):
 
 
 def test_every_gaussian_is_owned_once(city, scene):
-    """Four times the same model is once that model again."""
+    """Four times the same model is once that model again, block by block."""
     merged = merge(city, scene)
     merged.check()
+    partition, ends = quarters(scene), np.cumsum([share.gaussians for share in merged.shares])
+    for region, end, share in zip(partition.regions, ends, merged.shares):
+        own = merged.gaussians.positions[end - share.gaussians:end] + scene.offset
+        assert region.owns(own).all()
     whole = read_ply(city.block(0).run / "point_cloud.ply", scene.offset)
     assert np.array_equal(sorted_rows(merged.gaussians), sorted_rows(whole))
     assert sum(share.gaussians for share in merged.shares) == 2000
     assert min(share.gaussians for share in merged.shares) > 300
-
-
-def test_blocks_come_in_order_and_within_their_cells(city, scene):
-    merged, partition = merge(city, scene), quarters(scene)
-    ends = np.cumsum([share.gaussians for share in merged.shares])
-    for number, (end, share) in enumerate(zip(ends, merged.shares)):
-        own = merged.gaussians.positions[end - share.gaussians:end] + scene.offset
-        assert partition.regions[number].owns(own).all()
-    points = sum(share.points for share in merged.shares)
-    assert points == len(scene.points)
+    assert sum(share.points for share in merged.shares) == len(scene.points)
     assert merged.dropped == {scene.views[3].name: "it sees nothing"}
     assert scene.views[3].name in share_table(merged.record()).text()
     assert json.loads(json.dumps(merged.record()))["gaussians"] == 2000
@@ -152,6 +148,8 @@ def broken(city, scene, fault):
     elif fault == "damaged":
         path = city.block(2).run / "point_cloud.ply"
         path.write_bytes(path.read_bytes()[:-100])
+    elif fault == "start":
+        finish(city.block(2), strewn(2000), scene.offset, 64 * "0")
     elif fault in ("city", "partition"):
         path = city.block(2).path / "block.json"
         path.write_text(json.dumps({**json.loads(path.read_text()), fault: "another"}))
@@ -182,6 +180,7 @@ def test_a_block_that_lacks_is_named_and_can_be_filled(city, scene, fault):
 
 @pytest.mark.parametrize("fault, cause", [
     ("damaged", "damaged or cut short"), ("city", "a block of another city"),
+    ("start", "is of another block, partition or city than"),
     ("partition", "a block of another partition")])
 def test_a_block_that_must_not_be_merged_is_refused_even_when_filling(city, scene, fault, cause):
     broken(city, scene, fault)

@@ -43,13 +43,10 @@ def test_one_command_makes_the_tables_and_repeats_nothing(tmp_path, monkeypatch,
     assert (tmp_path / "cities.md").read_text() == page
 
 
-def test_a_table_needs_what_it_is_about(tmp_path, monkeypatch):
-    monkeypatch.setattr(cities, "subprocess", None)  # nothing is started
-    with pytest.raises(InputError, match="--tables one-run: needs a SCENE"):
-        cities.main([str(tmp_path), "--tables", "area", "one-run", "--no-compared"])
-
-
-@pytest.mark.parametrize("words", [["--seeds", "0"], ["--streets", "2", "0"]])
-def test_numbers_that_cannot_be(tmp_path, words):
-    with pytest.raises(InputError, match="at least 1"):
+@pytest.mark.parametrize("words, cause", [
+    (["--tables", "area", "one-run", "--no-compared"], "--tables one-run: needs a SCENE"),
+    (["--seeds", "0"], "at least 1"), (["--streets", "2", "0"], "at least 1")])
+def test_what_cannot_be_is_refused_before_anything_starts(tmp_path, monkeypatch, words, cause):
+    monkeypatch.setattr(cities, "subprocess", None)
+    with pytest.raises(InputError, match=cause):
         cities.main([str(tmp_path), *words])

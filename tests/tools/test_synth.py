@@ -6,7 +6,6 @@ import numpy as np
 import pycolmap
 import pytest
 
-from clsplat.errors import InputError
 from clsplat.io.photos.images import read_image
 from tools.synth import raycast
 from tools.synth.__main__ import main, synthesise
@@ -58,17 +57,6 @@ def distance(city, points):
 def contents(folder):
     return {path.relative_to(folder): path.read_bytes()
             for path in sorted(folder.rglob("*")) if path.is_file()}
-
-
-@pytest.mark.parametrize("point, expected", [
-    ((10, 10, 0), 0), ((10, 10, 0.7), 0.7), ((10, 10, -0.4), 0.4),  # the ground
-    ((4, 1, 3), 0), ((2, 1, 5), 0), ((4.5, 1, 3), 0.5), ((2, 1, 5.25), 0.25),  # faces
-    ((7, 6, 4), 4.0), ((7, 6, 9), np.sqrt(41)),  # the ground is nearer; a corner is nearer
-    ((5, 1, 6), np.sqrt(2)), ((2, 0.3, 2), 0.3), ((2, 1, 0.1), 1.0),  # edge; inside; not its floor
-    ((-5, 0, 3), 1.0), ((-5, 0, 4.5), 0.5), ((-5, 1, 3), 0),  # sphere
-])
-def test_distance_is_exact(solids, point, expected):
-    assert distance(solids, np.array([point], float))[0] == pytest.approx(expected, abs=1e-12)
 
 
 def test_samples_lie_on_surfaces_in_proportion_to_area(solids):
@@ -180,10 +168,3 @@ def test_bad_numbers_are_refused_before_anything_is_written(tmp_path, option, va
     with pytest.raises(SystemExit) as end:
         main([str(tmp_path / "scene"), option, value])
     assert end.value.code == 2 and not list(tmp_path.iterdir())
-
-
-def test_a_folder_that_is_not_empty_stays_as_it_is(scene):
-    before = contents(scene)
-    with pytest.raises(InputError, match="exists already"):
-        synthesise(scene, **TINY)
-    assert contents(scene) == before
