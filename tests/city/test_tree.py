@@ -8,7 +8,7 @@ from clsplat.edit.select import mean_sigma, parted
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.models.tree import HEADER, NO_PARENT, ORDER, Tree, writing_tree
-from clsplat.rendering.tree import NodeParts, choose
+from clsplat.rendering.tree import choose
 from tests.data.made_tree import write_tree
 
 CELL, COUNT = 40, 1000
@@ -110,16 +110,6 @@ def test_nodes_replace_all_leaves_that_are_seen_once(tree, x, focal):
         assert len(chosen) > 1 and np.corrcoef(middle, sigma)[0, 1] > 0 or focal == 500.0
     assert choose(tree, camera, 0.0, 0.1).tolist() == sorted(leaves_below(
         tree, len(tree.nodes) - 1)) or x == 30.0
-
-
-def test_rows_of_nodes(tree):
-    leaves = np.flatnonzero(tree.is_leaf)
-    parts = NodeParts(tree, leaves)
-    assert parts.count == COUNT
-    whole = np.concatenate([tree.read(leaf, "positions") for leaf in leaves])
-    rows = np.random.default_rng(0).permutation(COUNT)[:300]
-    assert np.array_equal(parts.read("positions", rows), whole[rows])
-    assert np.array_equal(parts.read("positions", slice(0, COUNT)), whole)
 
 
 def test_rows_at_one_place_are_parted():

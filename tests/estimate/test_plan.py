@@ -70,12 +70,9 @@ def test_runs_that_meet_their_ceiling_end_as_foretold(count, views, size, steps,
     assert levels == sorted(levels, reverse=True) and levels[-1] == 1
 
 
-def test_taming_ends_at_its_budget():
+def test_a_budget_is_reached_and_a_limit_is_kept():
     assert largest(course_of(4400, 10**7, schedule="taming", iterations=7000)) == pytest.approx(
         15 * 4400, rel=0.01)
-
-
-def test_a_limit_is_kept():
     for schedule in OURS:
         segments = course_of(4400, 10**7, schedule=schedule, iterations=7000, max_gaussians=9000)
         assert 8900 < largest(segments) <= 9000
