@@ -4,6 +4,7 @@ from scipy.spatial.transform import Rotation
 
 from clsplat.api.renderer import render
 from clsplat.camera import Camera
+from clsplat.edit.select import merged
 from clsplat.edit.transform import harmonics, rotated, transformed
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -68,3 +69,14 @@ def test_what_single_precision_does_not_hold_is_refused(scale, translation):
     with pytest.raises(InputError, match="beyond 1e-38 to 3e.38|finite"):
         transformed(model, scale, np.eye(3), translation)
     assert np.isfinite(transformed(model, 1e9, None, (1e12, 0, 0)).positions).all()
+
+
+def test_models_are_merged_where_they_stand():
+    one, other = cloud(5, 1, offset=(100.0, 0, 0)), cloud(7, 3, seed=1, offset=(103.0, 2, 1))
+    both = merged([one, other])
+    assert both.count == 12 and both.sh_degree == 3 and (both.offset == one.offset).all()
+    world = np.concatenate([model.positions + model.offset for model in (one, other)])
+    assert np.allclose(both.positions + both.offset, world, atol=1e-5)
+    assert (both.sh_rest[5:] == other.sh_rest).all() and (both.sh_rest[:5, 3:] == 0).all()
+    with pytest.raises(InputError, match="too far apart"):
+        merged([one, cloud(4, size=1e-3, offset=(5e6, 0, 0))])
