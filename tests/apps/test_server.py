@@ -37,16 +37,13 @@ def answer(server, path, method="GET", body=None, **headers):
 
 
 def test_the_address_has_the_page_and_the_status(server):
+    assert server._server.server_address[0] == "127.0.0.1", "it is bound to this machine"
     assert server.address == f"http://127.0.0.1:{server.port}/{server.token}/"
     status, body, response = answer(server, f"/{server.token}/")
     assert (status, body) == (200, b"<h1>page</h1>")
     assert "default-src 'none'" in response.getheader("Content-Security-Policy")
     assert json.loads(answer(server, f"/{server.token}/status")[1]) == {"loss": 0.5}
     assert answer(server, f"/{server.token}/else")[0] == 404
-
-
-def test_it_is_bound_to_this_machine(server):
-    assert server._server.server_address[0] == "127.0.0.1"
 
 
 @pytest.mark.one_in(2)
