@@ -49,8 +49,8 @@ def measured(scene, residuals=(), said=(), size=0.0, vertical=""):
 
 def stored(scene, folder, record):
     """The scene in a folder whose sfm.json holds this text, or this record."""
-    text = record if isinstance(record, (str, bytes)) else json.dumps(record)
-    (folder / "sfm.json").write_bytes(text if isinstance(text, bytes) else text.encode())
+    text = record if isinstance(record, str) else json.dumps(record)
+    (folder / "sfm.json").write_text(text, "utf-8")
     return replace(scene, path=folder)
 
 
@@ -60,20 +60,16 @@ def words_of(html):
     return re.sub('data:[^"]+', "", html)
 
 
-def facts(scene):
-    return dict(facts_table(survey_of(scene)).rows)
-
-
 def test_numbers_of_a_flight_that_can_be_computed_by_hand(tmp_path):
     scene = stored(measured(flight(), vertical="EGM96 height", size=250.0), tmp_path, SFM)
-    found = facts(scene)
+    survey = survey_of(scene)
+    found = dict(facts_table(survey).rows)
     assert found["photos used"] == "12 of 42" and found["points of the sparse model"] == "1,200"
     assert found["ground sampling distance"] == "10 cm a pixel of the photos"  # 50 m / 500
     assert found["distance of the ground"] == "50 m from the cameras, median"
     assert found["heights"] == "EGM96 height"
     assert found["reprojection error, pixels"] == "0.73"
     assert found["residual"] == "50 cm along the ground, RMS; the flight extends over 250 m"
-    survey = survey_of(scene)
     # photos of 80 m by 60 m every 20 m: a place below the flight is in four of them
     middle = survey.overlap.counts[survey.overlap.counts.shape[0] // 2]
     assert np.median(middle) == 4

@@ -198,13 +198,6 @@ def coincident(rng):
     return scene
 
 
-def collinear(rng):
-    scene = plain(rng)
-    start, end = scene["rows"]["positions"][:2]
-    scene["rows"]["positions"] = start + np.linspace(0, 1, 24)[:, None] * (end - start)
-    return scene
-
-
 def photographed(photo, colour, background):
     """Rendered in about `colour` over `background`, the photo `photo` (0 to 255) throughout."""
     def make(rng):
@@ -241,7 +234,6 @@ NEEDLE = of_needles(np.hypot(*SIZE))
 
 CASES = (
     Case("plain", plain),
-    Case("needles 1e3:1", stretched(6, 1e3, 1)),
     Case("needles 1e6:1", stretched(6, 1e6, 1)),
     Case("needles 1e6:1, antialiased", stretched(6, 1e6, 1, opacity=6.0), antialiased=True),
     Case("needles 1e6:1, 2000 px", stretched(2e3, 1e6, 1), NEEDLE, NEEDLE),
@@ -272,7 +264,6 @@ CASES = (
     Case("3e3 splats on one pixel", one_pixel(3_000), 3e3 * EPSILON, 3e3 * EPSILON),
     Case("3e4 splats on one pixel", one_pixel(30_000), 3e3 * EPSILON, 3e3 * EPSILON, slow=True),
     Case("coincident", coincident),
-    Case("collinear", collinear),
     Case("black photo", photographed(0, 0.3, 0.1)),
     Case("black photo, black render", photographed(0, -9, 0)),
     Case("saturated photo", photographed(255, 0.3, 0.5), gradient=of_photos(1)),
