@@ -29,7 +29,7 @@ from clsplat.io.runs.city import BLOCK, EXCHANGES, OTHERS, BlockFolder, CityFold
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.partition.blocks import block_start, trainable
-from clsplat.partition.region import Partition, Region, Space
+from clsplat.partition.region import Partition, Region, Space, world_of
 from clsplat.training.checkpoint import Checkpoint
 from tests.data.tiny_training import CITY, model_digest
 
@@ -78,10 +78,6 @@ def city(stopped, tmp_path, item_device, monkeypatch):
     return CityFolder(tmp_path / "city")
 
 
-def in_world(scene, positions):
-    return scene.offset + scene.unit * positions.astype(float)
-
-
 @pytest.mark.slow
 def test_a_block_goes_on_from_what_others_own(city):
     block, run = city.block(0), RunFolder(city.block(0).run)
@@ -93,13 +89,13 @@ def test_a_block_goes_on_from_what_others_own(city):
     other = read_scene(city.block(1).path).normalised()
     part = read_npz(city.block(1).exchanged(1), "", "")
     region = BlockScene.read(block).region
-    own = region.owns(in_world(scene, before["row.positions"]))
+    own = region.owns(world_of(scene, before["row.positions"]))
     count = int(own.sum())
     assert 0 < count < len(own) and state["iteration"] == AT
     for name in ("row.positions", "row.sh_rest", "m.positions", "v.log_scales"):
         assert np.array_equal(after[name][:count], before[name][own]), name
-    owned = in_world(other, part["row.positions"])
-    taken = in_world(scene, after["row.positions"][count:])
+    owned = world_of(other, part["row.positions"])
+    taken = world_of(scene, after["row.positions"][count:])
     distance, row = cKDTree(owned).query(taken)
     assert distance.max() < 1e-5 * scene.unit and len(set(row)) == len(row)
     reached = region.reaches(owned)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,9 +17,10 @@ from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
-from clsplat.partition.region import Partition, Region, Space
+from clsplat.partition.region import Space
 from clsplat.report.city import share_table
 from clsplat.response import Response
+from tests.city.test_seams import boxes
 from tests.data.tiny_training import CITY
 
 BLOCKS = 4
@@ -29,17 +31,13 @@ def scene():
     return read_scene(CITY)
 
 
-def quarters(scene, margin=0.1, middle=(0.0, 0.0)):
+def quarters(scene, middle=(0.0, 0.0)):
     """Partition of the sample city in 2 x 2 cells that meet above `middle`, local."""
-    space = Space(np.eye(3), scene.offset, np.full(3, 30.0))
-    x, y = np.array(middle) / 30
-    inf = np.inf
+    (x, y), inf = np.array(middle) / 30, np.inf
     cells = [([-inf, -inf], [x, y]), ([x, -inf], [inf, y]), ([-inf, y], [x, inf]),
              ([x, y], [inf, inf])]
-    regions = tuple(Region(space, np.array([*low, -inf]), np.array([*high, inf]), margin)
-                    for low, high in cells)
-    everything = np.arange(len(scene.views))
-    return Partition("citygs", regions, (everything,) * BLOCKS, {3: "it sees nothing"})
+    return replace(boxes(cells, Space(np.eye(3), scene.offset, np.full(3, 30.0))), dropped={
+        3: "it sees nothing"}, views=(np.arange(len(scene.views)),) * BLOCKS)
 
 
 def strewn(count, degree=1, seed=0):

@@ -112,12 +112,8 @@ def noisy(model, seed, size):
     return Gaussians(rows, model.sh_degree)
 
 
-def unspoilt(number, gaussians):
-    return gaussians
-
-
 @functools.cache
-def report(device, scene, model, spoil=unspoilt):
+def report(device, scene, model, spoil=lambda number, gaussians: gaussians):
     """Seams of four blocks that err alike, as the reference does, and a little by themselves;
     spoil: changes a block."""
     reference = noisy(model, 9, 0.2)
@@ -127,10 +123,6 @@ def report(device, scene, model, spoil=unspoilt):
     pieces = [cropped(block, partition, number, scene.offset)
               for number, block in enumerate(blocks)]
     return find_seams(device, partition, scene, scene.views, OPTIONS, joined(pieces), reference)
-
-
-def by_pair(seams, key):
-    return {tuple(record["blocks"]): record[key] for record in seams["borders"]}
 
 
 def test_blocks_that_agree_have_no_seam(item_device, photographed, model):
@@ -161,7 +153,7 @@ def test_a_block_that_is_worse_beside_its_borders_is_a_seam(item_device, photogr
         return gaussians
 
     seams = report(item_device, photographed, model, spoil)
-    values = by_pair(seams, "seam_db")
+    values = {tuple(record["blocks"]): record["seam_db"] for record in seams["borders"]}
     assert seams["worst_seam_db"] > SEAM and seams["seam_db"] > SEAM
     assert min(values[1, 3], values[2, 3]) > SEAM
     assert max(values[0, 1], values[0, 2]) < min(values[1, 3], values[2, 3])

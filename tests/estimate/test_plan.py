@@ -43,12 +43,6 @@ def city():
     return read_scene(CITY).reduced(4)
 
 
-@pytest.fixture
-def own_device(float_device):
-    """A device on which nothing is allocated yet."""
-    return Device(float_device.handle, form=float_device.form)
-
-
 # --- the simulated schedule
 
 
@@ -130,26 +124,27 @@ PARTS = [{"poses": "on"},
 
 @pytest.mark.parametrize("options", PARTS, ids=str)
 @pytest.mark.one_in(4)
-def test_trial_steps_foretell_what_a_training_allocates(own_device, options):
+def test_trial_steps_foretell_what_a_training_allocates(float_device, options):
     """At a size between those that were tried, with photos that stay and with photos that do not;
     frames of the second have more room, as views are met in another order."""
+    device = Device(float_device.handle, form=float_device.form)  # nothing is allocated yet
     prepared = prepare(read_scene(CITY), resolve({}, {
         "exposure": "off", "downscale": 4.0, "test_every": 0, "sphere": False, **options}),
-        own_device)
+        device)
     gaussians = sampled(prepared.scene, 5000, prepared.options.sh_degree)
     regularises = options.get("reproject") == "on"
     segments = [Segment(1, 2.0, 3000, regularises), Segment(1, 1.0, 5000, regularises)]
-    trials = take_trials(own_device, prepared, 3000, segments, SilentProgress())
+    trials = take_trials(device, prepared, 3000, segments, SilentProgress())
     assert len(trials) == 3 and all(trial.seconds for trial in trials)
-    memory = predicted_memory(own_device, prepared, gaussians, segments, trials)
-    own_device.trim()
-    assert own_device.memory_bytes < 10_000  # trials give back what they take
-    photos = Photos(own_device, prepared.train_views)
-    trial = TrialSteps(Session(prepared, own_device, gaussians, photos=photos))
+    memory = predicted_memory(device, prepared, gaussians, segments, trials)
+    device.trim()
+    assert device.memory_bytes < 10_000  # trials give back what they take
+    photos = Photos(device, prepared.train_views)
+    trial = TrialSteps(Session(prepared, device, gaussians, photos=photos))
     for index in range(len(prepared.train_views)):
         trial.prepare(index, regularises)()
     trial.finish()
-    assert memory.steps == pytest.approx(own_device.memory_bytes, rel=0.15)
+    assert memory.steps == pytest.approx(device.memory_bytes, rel=0.15)
     assert memory.photos == sum(photos[index].nbytes for index in range(len(photos.views)))
     assert memory.resident and memory.model < memory.steps <= memory.total
 
