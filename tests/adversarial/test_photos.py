@@ -117,7 +117,7 @@ def damaged(write, change):
     return spoil
 
 
-def claims(width, height, at=16):
+def claims(width, height):
     """A PNG that has the bytes of a small one."""
     def change(data):
         head = data[12:16] + struct.pack(">II", width, height) + data[24:29]

@@ -71,9 +71,7 @@ def test_a_port_that_is_taken_is_named(server, requests):
 
 
 def answering(requests, act):
-    def work():
-        act(requests.next(5))
-    threading.Thread(target=work, daemon=True).start()
+    threading.Thread(target=lambda: act(requests.next(5)), daemon=True).start()
 
 
 def test_a_frame_is_the_image_that_was_drawn(server, requests):

@@ -21,19 +21,17 @@ SFM = {"photos": 42, "registered": 40, "points": 1200, "mean_track_length": 5.25
        "reprojection_error_pixels": 0.734, "not_registered": {"a<b>.jpg": "matches no other photo"}}
 
 
-def flight(count=12, height=50.0, spacing=20.0, side=100.0, scale=1.0, names="{}.jpg"):
-    """A scene of nadir photos in a row, in a georeferenced frame: 10 cm a pixel at 50 m."""
+def flight(count=12, names="{}.jpg"):
+    """A scene of nadir photos in a row, 20 m apart, in a georeferenced frame: 10 cm a pixel."""
     random = np.random.default_rng(0)
-    points = np.column_stack([random.uniform(-side, side, (4000, 2)), random.normal(0, 0.1, 4000)])
+    points = np.column_stack([random.uniform(-100, 100, (4000, 2)), random.normal(0, 0.1, 4000)])
     views = []
     for number in range(count):
-        x = spacing * (number - (count - 1) / 2)
-        camera = Camera.looking_at((scale * x, 0, 0), (scale * x, 0, scale * height),
-                                   up=(0, 1, 0), width=800, height=600)
+        x = 20.0 * (number - (count - 1) / 2)
+        camera = Camera.looking_at((x, 0, 0), (x, 0, 50), up=(0, 1, 0), width=800, height=600)
         views.append(View(names.format(number), replace(camera, focal=(500.0, 500.0)), Path("x")))
-    return Scene("flight", tuple(views), scale * points, np.zeros((4000, 3), np.uint8),
-                 georeference=Georeference("EPSG:32614", (587670.0, 3338097.0, 309.0),
-                                           "GPS of 12 photos", 0.5))
+    place = Georeference("EPSG:32614", (587670.0, 3338097.0, 309.0), "GPS of 12 photos", 0.5)
+    return Scene("flight", tuple(views), points, np.zeros((4000, 3), np.uint8), georeference=place)
 
 
 def residual(name, role="control", pixels=None, east=0.3, north=0.4, up=1.2):
