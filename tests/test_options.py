@@ -21,7 +21,7 @@ from clsplat.options import (
     serves,
 )
 from clsplat.schedule import OURS, schedule_of
-from clsplat.schedule.sig import PAPER
+from clsplat.schedule.sig import PAPER, RELEASE
 from tests.test_layout import ROOT
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
@@ -199,6 +199,7 @@ def test_choices_set_what_there_is_to_legal_values():
                             "opacity_weight": 0.01, "scale_weight": 0.01}),
     ({"schedule": "sig"}, {}),
     ({"preset": "paper"}, PAPER),
+    ({"preset": "release"}, RELEASE),
     ({"size": "L"}, {"grow_threshold": 1.25e-4}),
     ({"schedule": "constant", "size": "L"},
      {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05,
@@ -220,7 +221,7 @@ def test_what_is_given_wins_even_if_it_is_the_default(choice, own):
 
 @pytest.mark.parametrize("given", [
     {}, {"schedule": "constant"}, {"schedule": "dash"}, {"schedule": "taming"},
-    {"schedule": "mcmc"}, {"preset": "paper"}, {"preset": "paper", "levels": (4, 1)},
+    {"schedule": "mcmc"}, {"preset": "paper"}, {"preset": "release", "levels": (4, 1)},
     {"size": "L"},
     {"time_budget": "10m"}])
 def test_a_run_s_record_gives_the_same_options_again(given):
@@ -325,8 +326,11 @@ def test_an_option_says_what_it_affects(field):
     assert not field.metadata["help"].endswith(".")
 
 
-def test_the_preset_is_what_the_paper_says():
-    paper = resolve({}, {"preset": "paper"})
-    assert paper.levels == (5, 4, 3, 2, 1)
-    assert (paper.sphere_neighbours, paper.sphere_shrink, paper.sphere_reach) == (15, 0.7, 15)
-    assert paper.level_share == 1  # no deadlines
+def test_presets_are_what_the_paper_and_the_release_say():
+    paper, release = (resolve({}, {"preset": preset}) for preset in ("paper", "release"))
+    assert paper.levels == (5, 4, 3, 2, 1) and release.levels == (5, 2.5, 5 / 3, 1.25, 1)
+    assert (paper.sphere_neighbours, paper.sphere_shrink, paper.sphere_rule) == (15, 0.7, "paper")
+    assert (release.sphere_neighbours, release.sphere_shrink, release.sphere_rule) == (
+        8, 0.8, "release")
+    assert paper.sphere_reach == release.sphere_reach == 15
+    assert paper.level_share == release.level_share == 1  # no deadlines

@@ -71,7 +71,7 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
             given = block_steps(city, steps_together,
                                 smallest_size([scene.views[index] for index in views]), facts)
             record[JOINT] = {**options_of_blocks(given, decided), "depth": options.depth,
-                             "levels": options.levels, "level_reset": options.level_reset}
+                             "levels": options.levels}
         folder.write_partition(record)
     owner = partition.owner(world_of(scene, gaussians.positions))
     counts = np.bincount(owner, minlength=len(partition.regions))

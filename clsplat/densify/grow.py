@@ -99,7 +99,8 @@ def plan_growth(candidates: Candidates, grows: NDArray[np.bool_], prunes: NDArra
     positions = (of_splits["positions"][:, None] + offsets).astype(np.float32).reshape(-1, 3)
     spheres: dict[str, NDArray[np.float32]] = {}
     if "anchors" in rows:
-        anchors = np.repeat(of_splits["anchors"], CHILDREN, axis=0)
+        anchors = (positions if options.sphere_rule == "release" else
+                   np.repeat(of_splits["anchors"], CHILDREN, axis=0))
         max_offsets = (np.repeat(of_splits["max_offsets"], CHILDREN)
                        * options.sphere_shrink).astype(np.float32)
         keeps &= ~outside(positions, anchors, max_offsets, options.sphere_reach)

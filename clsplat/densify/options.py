@@ -40,3 +40,6 @@ class GrowthOptions:
                                  minimum=0.0, part="spheres", flag=False, measured=True)
     sphere_shrink: float = option(0.7, "Spheres", "radius of the children of a split, as a share "
                                   "of their parent's", minimum=0.0, part="spheres", flag=False)
+    sphere_rule: str = option("paper", "Spheres", "anchor of the children of a split: their "
+                              "parent's anchor (paper), or their own position (release)",
+                              choices=("paper", "release"), part="spheres", flag=False)

@@ -2,7 +2,8 @@
 
 Each has an anchor and a max_offset. One that is further from its anchor than `reach` x max_offset
 is pruned, not clamped. The anchor of a clone is its own position, and it inherits max_offset. A
-child of a split inherits the anchor and a share of max_offset.
+child of a split inherits the anchor and a share of max_offset; in the released code its anchor is
+its own position.
 """
 
 import numpy as np

@@ -1,8 +1,9 @@
-"""Two tests for whether the scene frequency has converged at a level.
+"""Three tests for whether the scene frequency has converged at a level.
 
-`paper` (Xue et al. 2026, eq. 8): the last difference per step is below k mean(1/d). `robust`, ours:
-the median of the last differences per step is below a share of the frequency itself, because the
-initial cloud's 1/d says little once growth has refined it many times over.
+`paper` (Xue et al. 2026, eq. 8): the last difference per step is below k mean(1/d). `release`, the
+authors' code: a parabola through the last samples is flat compared with the steepest slope of the
+level. `robust`, ours: the median of the last differences per step is below a share of the frequency
+itself, because the initial cloud's 1/d says little once growth has refined it many times over.
 """
 
 import math
@@ -10,7 +11,12 @@ from collections.abc import Sequence
 from statistics import median
 from typing import NamedTuple
 
+import numpy as np
+
 MEDIAN_OF = 3  # differences, so that a single outlier decides nothing
+WINDOW = 6  # samples under the parabola of `release`
+SLOPE_SHARE, CURVATURE_SHARE = 0.05, 0.1  # of the level's steepest slope (`release`)
+Samples = Sequence[tuple[int, float]]
 
 
 class Verdict(NamedTuple):
@@ -22,18 +28,36 @@ class Verdict(NamedTuple):
     converged: bool
 
 
-def judge(test: str, samples: Sequence[tuple[int, float]], rate: float, inverse_distance: float
-          ) -> Verdict:
-    """Test ("robust" or "paper") whether the scene frequency has converged.
+def judge(test: str, samples: Samples, rate: float, inverse_distance: float) -> Verdict:
+    """Test ("robust", "paper" or "release") whether the scene frequency has converged.
 
     `samples` are (iteration, frequency) of one level, oldest first, and those that are not finite
     are ignored; `rate` is k, per step; `inverse_distance` is mean(1/d), 1 / world unit, for `paper`
     only.
     """
     samples = [sample for sample in samples if math.isfinite(sample[1])]
+    if test == "release":
+        return _release(samples)
     count, scale = ((1, inverse_distance) if test == "paper" else
                     (MEDIAN_OF, samples[-1][1] if samples else 0.0))
     slopes = [(after - before) / (end - begin)
               for (begin, before), (end, after) in zip(samples, samples[1:])]
     slope = median(slopes[-count:]) if len(slopes) >= count else None
     return Verdict(slope, rate * scale, slope is not None and slope < rate * scale)
+
+
+def _release(samples: Samples) -> Verdict:
+    if len(samples) < WINDOW:
+        return Verdict(None, 0.0, False)
+    values = np.array([value for _, value in samples])
+    spacing = (samples[-1][0] - samples[0][0]) / (len(samples) - 1)
+    # value, slope and curvature at the end of each window, per sample
+    fits = [np.polyfit(np.arange(1.0 - WINDOW, 1.0), values[end - WINDOW:end], 2) * (2, 1, 1)
+            for end in range(WINDOW, len(values) + 1)]
+    curvature, slope, _ = map(float, fits[-1])
+    steepest = float(max(fit[1] for fit in fits))
+    # with a constant frequency, rounding would decide
+    flat = np.ptp(values[-WINDOW:]) <= 1e-9 * abs(values[-1])
+    converged = flat or (0 <= slope < SLOPE_SHARE * steepest
+                         and curvature <= CURVATURE_SHARE * steepest)
+    return Verdict(slope / spacing, SLOPE_SHARE * steepest / spacing, bool(converged))

@@ -6,7 +6,8 @@ than its pixels can determine: the more the photos disagree about the colour of 
 pixels a gaussian needs for its own, and the fewer steps are taken. The paper has no safeguards;
 ours: rounds of growth disturb the frequency, so it is tested only after them, several tests in a
 row must agree, and each coarser level has a deadline, a share of the run, so that the finest always
-gets its time. The test `paper` has no safeguards, as published.
+gets its time. The tests `paper` and `release` have no safeguards,
+as published.
 """
 
 import math
@@ -14,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from clsplat.config.option import AUTO, option
+from clsplat.config.option import AUTO, is_auto, option
 from clsplat.errors import InputError
 from clsplat.schedule.convergence import judge
 from clsplat.schedule.plan import Plan, SceneFacts, Schedule, listed, sizes_text
@@ -32,8 +33,8 @@ COLOUR_ERROR = 0.0072  # of full brightness: the standard error of a gaussian's 
 LEAST_PIXELS_A_GAUSSIAN = 15.0  # where photos agree: it has 59 parameters, a pixel 3 values
 USUAL_DISAGREEMENT = 0.03  # where the sparse model does not tell which photos show a point
 USUAL_PHOTOS = 5.0  # that show a point
-MOST_A_PHOTO = 150  # steps for each training photo; after more, held-out photos get worse
-ENOUGH = 7000  # steps, however few the photos are, if they agree
+MOST_A_PHOTO = 75  # steps for each training photo; after more, held-out photos get worse
+ENOUGH = 3500  # steps, however few the photos are, if they agree
 AGREEING = 0.036  # of full brightness: photos of a place that differ by more allow fewer steps
 POWER = 3  # of that ratio; see docs/evidence/schedules.md
 FEWEST, FEWEST_A_PHOTO = 1000, 50  # steps, however much the photos disagree
@@ -45,13 +46,20 @@ GROWS_SHARE = 0.7  # of a level's time; in the rest the new gaussians are traine
 MOST_GROWTH = 5  # a round adds at most one gaussian for each so many (as in DashGaussian)
 REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
 
-# the choices of the authors' paper
+# the choices of the authors' paper and of their released code, whose Adam is sparse
 PAPER = {
     "iterations": 30_000, "init": "sfm",
     "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
     "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0, "densify_every": 200,
-    "level_reset": False, "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
+    "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
     "sphere": True, "sphere_reach": 15.0, "reproject": "on", "visits": 0.0, "exposure": "off"}
+RELEASE = {
+    "iterations": 30_000, "init": "sfm", "sphere": True,
+    "levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release", "convergence": "release",
+    "convergence_hits": 5, "level_share": 1.0, "densify_every": 200, "pixels_per_gaussian": 0.0,
+    "prune_size": 0.05, "opacity_rate": 0.02, "grow_threshold": 1.25e-4, "sphere_neighbours": 8,
+    "sphere_reach": 15.0, "sphere_shrink": 0.8, "sphere_rule": "release", "visits": 0.0,
+    "exposure": "off", "ssim_weight": 0.33}
 VARIANTS = ("robust", "paper", "release")
 
 
@@ -65,8 +73,9 @@ def check_levels(levels: tuple[float, ...]) -> None:
 class SigOptions:
     """Options of the `sig` schedule: when the next level begins, and how much each grows."""
 
-    preset: str = option("ours", "Schedule", "choices of the SIG paper, or ours", main=True,
-                         choices=("ours", "paper"), part="sig", sets={"paper": PAPER})
+    preset: str = option("ours", "Schedule", "choices of the SIG paper, of its released code, or "
+                         "ours", main=True, choices=("ours", "paper", "release"), part="sig",
+                         sets={"paper": PAPER, "release": RELEASE})
     levels: tuple[float, ...] = option(
         (), "Levels", "down-sampling factors of the levels, from coarse to fine, such as 4,2,1; "
         "auto: 5,4,3,2,1 without those whose images are too small to matter", words={AUTO: ()},
@@ -74,7 +83,7 @@ class SigOptions:
         part="sig", measured=True)
     frequency: str = option("robust", "Levels", "which scene frequency is tested for convergence",
                             choices=VARIANTS, part="sig", flag=False, measured=True)
-    convergence: str = option("robust", "Levels", "how it is tested", choices=("robust", "paper"),
+    convergence: str = option("robust", "Levels", "how it is tested", choices=VARIANTS,
                               sets={"paper": {"convergence_rate": 5e-5}}, part="sig", flag=False)
     convergence_rate: float = option(
         1e-4, "Levels", "a level has converged when the scene frequency grows by less than this "
@@ -89,16 +98,13 @@ class SigOptions:
         part="sig", flag=False, measured=True)
     rounds: int = option(12, "Levels", "largest number of rounds of growth at each level",
                          minimum=1, part="sig", flag=False, measured=True)
-    level_reset: bool = option(True, "Levels", "reset opacities at the start of each level, so "
-                               "that gaussians which the sharper images do not need are pruned",
-                               part="sig", flag=False, measured=True)
     pixels_per_gaussian: float = option(
         AUTO, "Levels", "the model grows only while each gaussian has at least this many training "
         "pixels, at the level's size; auto: fewer where the photos agree about the colours",
         words={AUTO: AUTO, "none": 0.0}, minimum=0.0, part="sig", measured=True)
     visits: float = option(
-        AUTO, "Levels", "most steps for each training photo, whatever -n is; auto: 150, or 7000 "
-        "in all, and fewer where the photos disagree about the colours; all: as -n says",
+        AUTO, "Levels", "most steps for each training photo; auto: 75, or 3500 in all, and "
+        "fewer where the photos disagree about the colours, if -n is auto; all: any number",
         words={AUTO: AUTO, "all": 0.0}, minimum=0.0, part="sig", measured=True)
 
 
@@ -106,7 +112,8 @@ class Sig(Schedule):
     """Levels from coarse to fine; `observe` decides when the next begins."""
 
     parts = frozenset({"sig", "levels", "spheres", "reprojection"})
-    keeps = ("index", "began", "rounds_taken", "grown_at", "full", "samples", "hits", "latest")
+    keeps = ("index", "began", "rounds_taken", "carried", "grown_at", "full", "samples", "hits",
+             "latest")
     begins_dense = True
     Options = SigOptions
 
@@ -149,6 +156,8 @@ class Sig(Schedule):
         if isinstance(visits, float):
             return (max(1, round(visits * photos)) if visits else 0,
                     f"for {photos:,} training photos, --visits {visits:g}")
+        if not is_auto(options.iterations):  # -n means what it says
+            return 0, ""
         shown_in = USUAL_PHOTOS if math.isnan(facts.shown_in) else facts.shown_in
         left = facts.disagreement() * math.sqrt(USUAL_PHOTOS / shown_in)
         share = (AGREEING / left) ** POWER if left > AGREEING else 1.0  # 1 for a nan
@@ -166,14 +175,14 @@ class Sig(Schedule):
         if options.levels:
             return each
         levels = chosen_levels(options, size, LEVELS_OF_BLOCK, TILE)
-        return {"levels": levels, "level_reset": False, **each}
+        return {"levels": levels, **each}
 
     def __init__(self, options: "ScheduledOptions", facts: SceneFacts) -> None:
         super().__init__(options, facts)
         self.levels = chosen_levels(options, facts.size)
         self.shares = level_shares(self.levels, options.level_share)
         self.index = self.began = 0  # of the level, and how many steps were taken before it
-        self.rounds_taken = self.hits = 0
+        self.rounds_taken = self.carried = self.hits = 0
         self.grown_at = 0  # step of the last round
         self.full = facts.count >= self.ceiling
         self.samples: list[tuple[int, float]] = []
@@ -234,16 +243,13 @@ class Sig(Schedule):
     def _rounds_left(self, since: int) -> bool:
         """Whether this level, so many steps old, still has rounds of growth to come."""
         in_time = since <= GROWS_SHARE * self.allotment or not self.guarded
-        return in_time and self.rounds_taken < self.options.rounds
+        return in_time and self.rounds_taken < self.options.rounds + self.carried
 
     def _resets(self, before: int, growing: bool) -> bool:
-        """Whether opacities are reset after a step: every `reset_every` steps, and where a level
-        begins that will prune what does not recover."""
-        o = self.options
-        if before == 0:
-            return False
-        return (o.level_reset and before == self.began) or (
-            growing and o.reset_every > 0 and before % o.reset_every == 0)
+        """Whether opacities are reset after a step: every `reset_every` steps of growth. A new
+        level resets none: that cost 1 to 4 dB, and half of the steps to win them back."""
+        every = self.options.reset_every
+        return growing and every > 0 and before > 0 and before % every == 0
 
     def decay(self, iteration: int) -> float:
         """See `Schedule.decay`: the position rate falls at the finest level only.
@@ -306,6 +312,8 @@ class Sig(Schedule):
                              and iteration >= self.grown_at + 2 * self.observe_every)
 
     def _advance(self, iteration: int) -> None:
+        if self.options.convergence == "release":  # where unused rounds are kept and add up
+            self.carried += max(0, self.options.rounds - self.rounds_taken)
         self.index += 1
         self.began = iteration
         self.rounds_taken = self.hits = 0

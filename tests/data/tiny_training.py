@@ -24,7 +24,7 @@ EVENTFUL = {"schedule": "constant", "iterations": 150, "downscale": 8.0, "densif
 LEVELLED = {"schedule": "sig", "levels": (2.0, 1.0), "iterations": 120, "downscale": 4.0,
             "rounds": 2, "densify_every": 8, "reset_every": 0, "exposure": "on",
             "reproject": "on", "level_share": 0.7, "convergence_rate": 0.02,
-            "pixels_per_gaussian": 0.0, "sphere_reach": 3.0, "level_reset": False,
+            "pixels_per_gaussian": 0.0, "sphere_reach": 3.0,
             "eval_every": 0}
 # what a test of something else needs: no growth, few steps
 STILL = {"densify_from": 1000, "reset_every": 0}

@@ -176,13 +176,17 @@ def test_a_clone_is_anchored_where_it_stands_and_inherits_its_reach():
     assert np.array_equal(after["max_offsets"], rows["max_offsets"][growth.source])
 
 
-def test_spheres_of_children_follow_the_rule(shrink=0.8):
+@pytest.mark.parametrize("rule, shrink", [("paper", 0.7), ("release", 0.8)])
+def test_spheres_of_children_follow_the_rule(rule, shrink):
     """And those of the clones before them in the same round stay right."""
     rows = with_spheres(rows_of([SMALL, LARGE, LARGE, SMALL], [SOLID] * 4), [0.5] * 4)
-    growth = growth_of(rows, [MOVING, MOVING, STILL, STILL], sphere_shrink=shrink)
+    growth = growth_of(rows, [MOVING, MOVING, STILL, STILL], sphere_rule=rule,
+                       sphere_shrink=shrink)
     assert growth.source.tolist() == [0, 2, 3, 0, 1, 1]
     after = applied(growth, rows)
-    assert np.array_equal(after["anchors"][4:], rows["anchors"][[1, 1]])
+    own = after["positions"][4:]
+    assert np.array_equal(after["anchors"][4:], own if rule == "release"
+                          else rows["anchors"][[1, 1]])
     assert np.allclose(after["max_offsets"][4:], shrink * rows["max_offsets"][1], rtol=1e-6)
     assert np.array_equal(after["anchors"][:4], [*rows["anchors"][[0, 2, 3]],
                                                  rows["positions"][0]])
@@ -208,3 +212,5 @@ def test_a_child_outside_the_shrunken_sphere_is_dropped_at_once():
     assert np.array_equal(growth.source, parents[inside])
     assert np.array_equal(after["positions"], places[inside])
     assert (growth.split, growth.pruned) == ((both > 0).sum(), (both == 0).sum())
+    released = growth_of(rows, [MOVING] * count, sphere_rule="release", **settings)
+    assert len(released.source) == 2 * count

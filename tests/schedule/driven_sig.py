@@ -11,9 +11,9 @@ from clsplat.schedule.sig import Sig
 FACTS = SceneFacts(size=(640, 480), count=1000, inverse_distance=20.0, photos=None,
                   pixels=10 * 640 * 480)
 # what the defaults may become must not matter
-SHORT = {"iterations": 6000, "levels": (4.0, 2.0, 1.0), "level_share": 0.5, "level_reset": False,
+SHORT = {"iterations": 6000, "levels": (4.0, 2.0, 1.0), "level_share": 0.5,
          "rounds": 8, "densify_from": 500}
-PRESETS = ("ours", "paper")
+PRESETS = ("ours", "paper", "release")
 
 
 def flat(iteration):

@@ -1,12 +1,12 @@
-"""The two tests of convergence, on curves whose answer is known."""
+"""The three tests of convergence, on curves whose answer is known."""
 
 import numpy as np
 import pytest
 
-from clsplat.schedule.convergence import MEDIAN_OF, judge
+from clsplat.schedule.convergence import MEDIAN_OF, SLOPE_SHARE, WINDOW, judge
 
 SPACING = 100
-TESTS = ("robust", "paper")
+TESTS = ("robust", "paper", "release")
 RATE = 1e-4  # of robust: share of the frequency a step
 def sampled(values, first=0, spacing=SPACING):
     return [(first + spacing * number, float(value)) for number, value in enumerate(values)]
@@ -32,7 +32,8 @@ def saturating(tau, until=20_000, noise=0.0, seed=0):
 
 # --- few samples
 
-@pytest.mark.parametrize("test, least", [("robust", MEDIAN_OF + 1), ("paper", 2)])
+@pytest.mark.parametrize("test, least", [
+    ("robust", MEDIAN_OF + 1), ("paper", 2), ("release", WINDOW)])
 def test_too_few_samples_decide_nothing(test, least):
     for count in range(least):
         verdict = judge(test, sampled([5.0] * count), RATE, 1.0)
@@ -61,6 +62,7 @@ def test_straight_lines(spacing):
         assert judge(test, samples, RATE, 2.0).slope == pytest.approx(0.02)
     assert judge("robust", samples, RATE, 2.0).threshold == pytest.approx(RATE * samples[-1][1])
     assert judge("paper", samples, RATE, 2.0).threshold == pytest.approx(2 * RATE)
+    assert judge("release", samples, RATE, 2.0).threshold == pytest.approx(SLOPE_SHARE * 0.02)
 
 
 def test_the_paper_looks_at_the_last_difference_only():
@@ -75,6 +77,7 @@ def test_the_unit_of_length_does_not_matter(unit):
     """Frequencies and mean(1/d) are both 1 / length."""
     values, inverse_distance = saturating(900, 4000, 0.002), 30.0
     for test in TESTS:
+        # the release's window must not sit on its threshold
         for end in (3, 8, 20, 40):
             here, there = (judge(test, sampled(values[:end] / u), RATE, inverse_distance / u)
                            for u in (1.0, unit))
@@ -88,14 +91,18 @@ def test_the_unit_of_length_does_not_matter(unit):
 @pytest.mark.parametrize("test", TESTS)
 @pytest.mark.parametrize("value", [0.1, 7.3, 123456.7])
 def test_a_constant_is_flat(test, value):
-    for count in range(MEDIAN_OF + 1, 30):
+    """Not at the mercy of rounding (release: of its fit)."""
+    for count in range(WINDOW, 30):
         assert judge(test, sampled([value] * count), RATE, 1.0).converged
 
 
 def test_falling():
+    """The paper's inequality holds; the released code waits for growth, and so never leaves."""
     falling = sampled(np.linspace(9, 5, 12))
     assert judge("robust", falling, RATE, 1.0).converged
     assert judge("paper", falling, RATE, 1.0).converged
+    for end in range(13):
+        assert not judge("release", falling[:end], RATE, 1.0).converged
 
 
 @pytest.mark.parametrize("place", range(1, MEDIAN_OF + 1))

@@ -104,11 +104,13 @@ def test_nothing_is_tested_before_growth_is_over():
     assert last + 2 * schedule.observe_every <= end < last + 3 * schedule.observe_every
 
 
-def test_published_tests_are_not_guarded():
-    schedule = sig(preset="paper", levels=(2.0, 1.0), iterations=20_000)
+@pytest.mark.parametrize("preset", ["paper", "release"])
+def test_published_tests_are_not_guarded(preset):
+    schedule = sig(preset=preset, levels=(2.0, 1.0), iterations=20_000)
     first = decisions(drive(schedule))[0][1]
     assert first["reason"] == "converged" and first["rounds"] < schedule.options.rounds
-    assert first["since"] == 2 * schedule.observe_every
+    needed = {"paper": 1 + 1, "release": 6 + 4}[preset]
+    assert first["since"] == needed * schedule.observe_every
 
 
 # --- growth
@@ -157,6 +159,23 @@ def test_a_full_level_gathers_nothing_and_waits_for_no_round():
     assert decisions(full)[0][0] < rounds(roomy, 4.0)[-1] < decisions(roomy)[0][0]
 
 
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.one_in(3)
+def test_rounds_left_over_are_carried_by_the_release_only(preset):
+    """Its extra rounds pile up, are never used up, and do not count as left over again."""
+    count = 20
+    schedule = sig(preset=preset, levels=(4.0, 2.0, 1.0), iterations=60_000, rounds=count,
+                   densify_every=50)
+    taken = drive(schedule, flat)
+    grown = [len(rounds(taken, level)) for level in schedule.levels]
+    if preset == "release":
+        left = [count - grown[0], max(0, count - grown[1])]
+        assert grown[0] < count and left[0] > 0
+        assert grown[2] == count + sum(left) and schedule.carried == sum(left)
+    else:
+        assert grown[2] == count and schedule.carried == 0
+
+
 # --- the rest of a plan
 
 def test_opacities_are_reset_while_growing_only():
@@ -185,8 +204,9 @@ def test_the_position_rate_decays_at_the_finest_level_only():
         assert plan.decay == pytest.approx(expected)
 
 
-def test_as_published_it_decays_over_the_whole_run():
-    for iteration, plan, _ in drive(sig(preset="paper")):
+@pytest.mark.parametrize("preset", ["paper", "release"])
+def test_as_published_it_decays_over_the_whole_run(preset):
+    for iteration, plan, _ in drive(sig(preset=preset)):
         assert plan.decay == pytest.approx((iteration - 1) / 6000)
 
 

@@ -46,7 +46,7 @@ def test_a_block_begins_at_half_the_size_and_prunes_as_it_goes(side, steps, expe
     options = options_of(levels=(), level_share="auto", iterations=steps)
     facts = dataclasses.replace(FACTS, disagreement=lambda: 0.036)
     assert Sig.options_of_block(options, (side, side + 9), facts) == {
-        "levels": expected, "level_reset": False,
+        "levels": expected,
         "pixels_per_gaussian": pytest.approx(25.0)}
     asked = options_of(levels=(3.0, 1.0), pixels_per_gaussian=7.0)
     assert Sig.options_of_block(asked, (500, 500), facts) == {"pixels_per_gaussian": 7.0}
@@ -66,12 +66,13 @@ def test_the_more_photos_disagree_the_more_pixels_a_gaussian_needs(disagreement,
 
 
 @pytest.mark.parametrize("disagreement, shown_in, steps", [
-    (0.036, 5.0, 7000), (0.036, math.nan, 7000), (0.036, 1.25, 2000), (0.072, 20.0, 7000),
-    (0.072, 5.0, 2000), (0.045, 5.0, 3584), (0.045, 4.0, 2565), (math.nan, 2.0, 7000)])
+    (0.036, 5.0, 3500), (0.036, math.nan, 3500), (0.036, 1.25, 2000), (0.072, 20.0, 3500),
+    (0.072, 5.0, 2000), (0.04, 5.0, 2551), (0.038, 4.0, 2129), (math.nan, 2.0, 3500)])
 def test_the_fewer_photos_show_a_place_the_fewer_steps_they_allow(disagreement, shown_in, steps):
     """The mean of n colours has an error of their deviation / sqrt(n); 40 photos, 50 steps each."""
     facts = dataclasses.replace(FACTS, disagreement=lambda: disagreement, shown_in=shown_in)
-    assert Sig.most_steps(options_of(), facts, 40)[0] == steps
+    assert Sig.most_steps(resolve({}, {}), facts, 40)[0] == steps
+    assert Sig.most_steps(options_of(iterations=9), facts, 40)[0] == 0  # as many as requested
     assert Sig.most_steps(options_of(visits=3.0), facts, 40)[0] == 120
 
 
@@ -101,7 +102,8 @@ def test_each_level_may_take_what_its_resolution_is_of_all():
 
 def test_a_run_takes_no_more_steps_than_photos_allow():
     def steps(**given):
-        return worthwhile_steps(resolve({}, {"iterations": 30_000, **given}), FACTS, 60)[0]
+        return worthwhile_steps(resolve({}, given), FACTS, 60)[0]
 
-    assert steps() == 9000 and steps(visits=10.0) == 600 and steps(visits=0.0) == 30_000
-    assert steps(iterations=500) == 500 and steps(schedule="constant") == 30_000
+    assert steps() == 4500 and steps(visits=10.0) == 600 and steps(visits=0.0) == 18_000
+    assert steps(iterations=30_000) == 30_000 and steps(schedule="constant") == 18_000
+    assert steps(iterations=30_000, visits=10.0) == 600

@@ -40,7 +40,7 @@ def chosen(scene, **options):
 
 @pytest.mark.parametrize("options, value", [
     ({}, "dense"), ({"schedule": "constant"}, "sfm"), ({"schedule": "mcmc"}, "sfm"),
-    ({"preset": "paper"}, "sfm"), ({"coarse": True}, "sfm"),
+    ({"preset": "paper"}, "sfm"), ({"preset": "release"}, "sfm"), ({"coarse": True}, "sfm"),
     ({"init": "sfm"}, "sfm"), ({"init": "random"}, "random"),
     ({"iterations": 32 * LEAST_STEPS}, "dense"), ({"iterations": 32 * LEAST_STEPS - 1}, "sfm"),
     ({"init": "dense", "schedule": "constant"}, "dense"), ({"init": "dense"}, "dense")], ids=str)

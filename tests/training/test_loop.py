@@ -49,10 +49,9 @@ def test_a_level_is_recorded_after_the_step_before_it(item_device, tmp_path, mon
     monkeypatch.setattr("clsplat.training.recorder.REPORT_EVERY", 6)
     run = trained(tmp_path / "run", read_scene(CITY).part(range(6)), item_device, schedule="sig",
                   levels=(2.0, 1.0), downscale=4.0, iterations=12, eval_every=3, exposure="off",
-                  init="sfm", test_every=3, sphere=False, rounds=1, level_reset=True)
+                  init="sfm", test_every=3, sphere=False, rounds=1)
     found = [(r["event"], r["iteration"], r["level"]) for r in run.records()]
     place = found.index(("level", 6, 1.0))
     assert {("step", 6, 2.0), ("eval", 6, 2.0)} <= set(found[:place])
     assert {level for _, _, level in found[:place]} == {2.0}
     assert {level for _, _, level in found[place:]} == {1.0}
-    assert found[place + 1] == ("reset", 7, 1.0)
