@@ -40,9 +40,10 @@ class Clsplat:
         self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
         self.width, self.height = cameras[0].width, cameras[0].height
         self.cameras = [self.renderer.pack(camera) for camera in cameras]
-        needs = [self.renderer.count(self.rows, camera, self.width, self.height)
-                 for camera in self.cameras]
-        self.room = Room(*(max(need) for need in zip(*needs)))
+        measured = [self.renderer.measure(self.rows, camera, self.width, self.height)
+                    for camera in self.cameras]
+        self.room = Room(max(visible for visible, _ in measured),
+                         max(int(tiles.sum()) for _, tiles in measured))
         self.counts = device.zeros(FRAME_COUNTS, np.uint32)
         # of the gradient's size: its values do not change the work
         self.grad = device.upload(np.full((3, self.height, self.width),
