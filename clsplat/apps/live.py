@@ -111,6 +111,10 @@ class TrainingView(ViewServer, SilentProgress):
         self._status = {**self._status, "phase": text}
         self._inner.phase(text)
 
+    def spent(self) -> dict[str, float]:
+        """See `SilentProgress.spent`."""
+        return self._inner.spent()
+
     # --- between steps
 
     def is_due(self) -> bool:

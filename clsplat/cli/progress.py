@@ -34,9 +34,12 @@ class Progress(SilentProgress):
     stop_at : the iteration at which this run stops before its end, or 0.
     file : a text stream. None: standard error.
     title : the beginning of the line, such as "block 2 of 9".
+    began : see `SilentProgress`.
     """
 
-    def __init__(self, stop_at: int = 0, file: TextIO | None = None, title: str = "") -> None:
+    def __init__(self, stop_at: int = 0, file: TextIO | None = None, title: str = "",
+                 began: float | None = None) -> None:
+        super().__init__(began)
         self._stop_at, self._title = stop_at, f"{title}: " if title else ""
         self._file: TextIO | None = sys.stderr if file is None else file  # None if it is closed
         self._live = self._file is not None and self._file.isatty()
@@ -79,6 +82,7 @@ class Progress(SilentProgress):
 
     def phase(self, text: str) -> None:
         """Show the current phase, which may be the same as before; speed is not measured in it."""
+        super().phase(text)
         with self._lock:
             if text == self._phase:
                 return

@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 import logging
 import shlex
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from clsplat.cli import STARTED
 from clsplat.cli.flags import (
     FiniteRange,
     SectionedOption,
@@ -24,9 +26,7 @@ from clsplat.config.option import differences, flag_name
 from clsplat.errors import InputError
 from clsplat.options import RunOptions, TrainOptions, recorded, resolve
 
-if TYPE_CHECKING:
-    from clsplat.training.progress import SilentProgress
-
+LEAST_SHOWN = 0.05  # seconds
 LOG_LEVELS = ("debug", "info", "warning", "error")
 FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
 
@@ -90,9 +90,16 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path,
         return
     if seeds != 1:
         raise InputError("--seeds: needs --schedules; for one run, use --seed")
-    _train(scene, output, options, flags, overwrite, quiet, up, view)
+    spent = _train(scene, output, options, flags, overwrite, quiet, up, view)
     if not quiet:
-        click.echo("\n".join(ending(output)))
+        click.echo("\n".join([*ending(output), time_line(spent)]))
+
+
+def time_line(spent: dict[str, float]) -> str:
+    """What the seconds of a command were spent for."""
+    parts = ", ".join(f"{purpose} {seconds:.1f}" for purpose, seconds in spent.items()
+                      if seconds >= LEAST_SHOWN)
+    return f"time:    {sum(spent.values()):.1f} s: {parts}"
 
 
 def ending(output: Path) -> list[str]:
@@ -110,30 +117,34 @@ def ending(output: Path) -> list[str]:
 
 def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags: dict[str, Any],
            overwrite: bool, quiet: bool, up: tuple[float, float, float] | None = None,
-           view: bool = False) -> None:
-    """Train one run; without options, continue from its checkpoint with `flags`."""
+           view: bool = False) -> dict[str, float]:
+    """Train one run; without options, continue from its checkpoint with `flags`. Returns what the
+    seconds were spent for, see `SilentProgress.spent`."""
     from clsplat.cli.progress import Progress
     from clsplat.cli.view import announce
     from clsplat.device import choose_device
     from clsplat.io.runs.run import RunFolder
-    from clsplat.io.scenes.read import read_scene
-    from clsplat.training import loop
+    from clsplat.training.progress import SilentProgress
     resumes = options is None
     run = RunFolder.open(output) if resumes else RunFolder(output)
     if options is None:
         options, scene = resumed_options(run.read_options(), flags), run.scene_path(scene)
     assert scene is not None  # only a run that resumes is given none
-    data = read_scene(scene, options.images)
-    if up is not None:
-        if data.georeference is not None:
-            raise InputError(f"--up: {scene} is georeferenced, so its z axis points up; leave it "
-                             "out")
-        data = data.with_up(up)
-    device = choose_device(options.device, form=options.form)
+    with ThreadPoolExecutor(1) as pool:  # a driver begins while modules are imported
+        opened = pool.submit(choose_device, options.device, form=options.form)
+        from clsplat.io.scenes.read import read_scene
+        from clsplat.training import loop
+        data = read_scene(scene, options.images)
+        if up is not None:
+            if data.georeference is not None:
+                raise InputError(f"--up: {scene} is georeferenced, so its z axis points up; leave "
+                                 "it out")
+            data = data.with_up(up)
+        device = opened.result()
     with ExitStack() as stack:
         stack.enter_context(run.locked())
-        progress: SilentProgress | None = (
-            None if quiet else stack.enter_context(Progress(options.stop_at)))
+        progress = (SilentProgress(STARTED) if quiet else
+                    stack.enter_context(Progress(options.stop_at, began=STARTED)))
         watcher = None
         if view:
             from clsplat.apps.live import TrainingView
@@ -144,6 +155,7 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags
         else:
             run = RunFolder.create(output, overwrite=overwrite)
             loop.train(data, options, device, run, progress=progress, watcher=watcher)
+        return progress.spent()
 
 
 def resumed_options(record: dict[str, Any], flags: dict[str, Any]) -> TrainOptions:

@@ -62,7 +62,7 @@ def write_report(run: RunFolder, pictures: Pictures | None = None, scene: Scene 
         *city_sections(run.path, records),
         headed("Growth and loss", drawn("Gaussians, loss and level over iterations",
                                          step_chart, records)),
-        _plan_table(records), level_table(records),
+        _plan_table(records), level_table(records), _time_table(records),
         folded("Options", _option_table(options).html()))
     return run.write_report(page(full_name(run.path, options), lead(options, records),
                                  html_of(*sections), made=options))
@@ -149,6 +149,15 @@ def _plan_table(records: Sequence[Record]) -> Table | None:
             if record.get("event") == "plan"
             for name, reason in (record.get("reasons") or {}).items()]
     return Table("Plan", ("decision", "reason"), rows) if rows else None
+
+
+def _time_table(records: Sequence[Record]) -> Table | None:
+    """What the seconds of the process were spent for; None if that is not recorded."""
+    spent = next((record["seconds"] for record in reversed(records)
+                  if record.get("event") == "time"), None)
+    return Table("Time of the command", ("spent for", "seconds"), [
+        (purpose, f"{seconds:.2f}") for purpose, seconds in spent.items()], (1,),
+        ("Until this page was written.",)) if spent else None
 
 
 def level_table(records: Sequence[Record]) -> Table | None:

@@ -195,6 +195,7 @@ class Training:
         if not self.is_stage:
             if self.evaluator.evaluated_at != self.session.iteration:
                 self.evaluator.evaluate(final=True)
+            self.recorder.log("time", seconds=self.progress.spent())
             self.progress.phase("writing the report")
             self._draw_report()
         self.recorder.raise_failure()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol
 
@@ -12,6 +13,11 @@ if TYPE_CHECKING:
     from clsplat.training.session import Session
 
 WARNING = "warning: "  # begins a message that is always shown
+BEGIN = "imports"  # of a process, before its first phase
+SPENT = {  # beginning of a phase -> what its seconds are spent for
+    "undistorting": "photos", "planning": "plan", "finding dense points": "dense points",
+    "reading photos": "photos", "compiling": "kernels", "training": "steps",
+    "evaluating": "evaluation", "writing the report": "report", "writing": "files"}
 
 
 def training_at(level: float) -> str:
@@ -20,7 +26,16 @@ def training_at(level: float) -> str:
 
 
 class SilentProgress:
-    """Accepts everything that a progress line accepts, and shows only warnings."""
+    """Accepts everything that a progress line accepts, and shows only warnings.
+
+    Parameters
+    ----------
+    began : `time.perf_counter` when what the user waits for began; None: now.
+    """
+
+    def __init__(self, began: float | None = None) -> None:
+        self._since = time.perf_counter() if began is None else began
+        self._for, self._spent = BEGIN, dict[str, float]()
 
     def __call__(self, *, iteration: int, total: int, loss: float, gaussians: int,
                  memory_bytes: int, level: float) -> None:
@@ -33,7 +48,18 @@ class SilentProgress:
                 print(text, file=sys.stderr, flush=True)
 
     def phase(self, text: str) -> None:
-        """Show what is being done now."""
+        """Show what is being done now, from which on seconds are spent for it."""
+        purpose = next((SPENT[begin] for begin in SPENT if text.startswith(begin)), self._for)
+        if purpose != self._for:
+            self.spent()
+            self._for = purpose
+
+    def spent(self) -> dict[str, float]:
+        """What the seconds so far were spent for, in the order in which that began."""
+        now = time.perf_counter()
+        self._spent[self._for] = self._spent.get(self._for, 0.0) + now - self._since
+        self._since = now
+        return {purpose: round(seconds, 3) for purpose, seconds in self._spent.items()}
 
     def count(self, what: str, done: int, total: int) -> None:
         """Show how many of `total` things are done."""

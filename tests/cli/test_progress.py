@@ -8,6 +8,7 @@ import threading
 import pytest
 
 from clsplat.cli.progress import Progress, clock
+from clsplat.cli.train import time_line
 
 TOLD = {"loss": 0.1542, "gaussians": 1_229_336, "memory_bytes": 9 << 30, "level": 3.0}
 
@@ -95,3 +96,22 @@ def test_a_terminal_is_drawn_while_a_library_works(monkeypatch):
         threading.Event().wait(0.2)
 
     assert "global mapping, 7s so far" in [line.strip() for line in drawn(80, works, monkeypatch)]
+
+
+def test_what_the_seconds_were_spent_for(monkeypatch):
+    now = [10.0]
+    monkeypatch.setattr("clsplat.training.progress.time.perf_counter", lambda: now[0])
+    progress = Progress(file=io.StringIO(), began=8.5)
+    for seconds, phase in ((0, "planning"), (1, "finding dense points: photo 1 of 2"),
+                           (2, "finding dense points: photo 2 of 2"), (1, "training at 1/2 size"),
+                           (4, "evaluating"), (1, "training at full size"), (2, "of no kind"),
+                           (1, "writing the checkpoint"), (0.25, "writing the report")):
+        now[0] += seconds
+        progress.phase(phase)
+    now[0] += 0.02
+    spent = progress.spent()
+    assert list(spent.items()) == [("imports", 1.5), ("plan", 1), ("dense points", 3), ("steps", 7),
+                                   ("evaluation", 1), ("files", 0.25), ("report", 0.02)]
+    assert time_line(spent) == ("time:    13.8 s: imports 1.5, plan 1.0, dense points 3.0, "
+                                "steps 7.0, evaluation 1.0, files 0.2")
+    assert progress.spent() == spent  # no second is counted twice

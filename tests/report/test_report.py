@@ -82,7 +82,7 @@ class Balanced(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.open, self.charts = [], 0
+        self.open, self.charts, self.pictures = [], 0, 0
         self.feed(text)
         assert not self.open
 
@@ -90,6 +90,7 @@ class Balanced(HTMLParser):
         for name, value in attributes:
             assert name not in ("src", "srcset", "href") or value.startswith("data:"), (tag, value)
         self.charts += str(dict(attributes).get("class")).startswith("chart")
+        self.pictures += tag == "img"
         assert tag not in ("link", "iframe")
         if tag not in ("br", "img", "meta", "source"):
             self.open.append(tag)
