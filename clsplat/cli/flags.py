@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import click
 from click.core import ParameterSource
@@ -22,16 +21,15 @@ from clsplat.config.option import (
     parsed,
     shown_default,
 )
-from clsplat.config.toml import table
 from clsplat.errors import InputError
-from clsplat.loss.options import REGISTERED as PARTS
 from clsplat.options import TrainOptions, from_toml, options_with
 from clsplat.schedule.registry import OURS, others
 
 SHOW_ALL = "clsplat.help_all"  # in a context's `meta` if its help lists every option
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
-OTHERS = "clsplat.others"  # in a context's `meta`: the `Others` that are named
-OTHER_FLAGS = "clsplat.other_flags"  # and their flags
+# in a context's `meta`: the dataclass of options, and the options that the file of --config gives
+OPTIONS, CONFIG = "clsplat.options", "clsplat.config"
+OTHER_FLAGS = "clsplat.other_flags"  # and the flags of schedules and parts of other packages
 NAMES = {int: "INTEGER", float: "FLOAT", str: "TEXT"}
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -81,6 +79,17 @@ def _help_all(ctx: click.Context, param: click.Parameter, value: bool) -> None:
         ctx.meta[SHOW_ALL] = True
         click.echo(ctx.get_help())
         ctx.exit()
+
+
+class NonEmptyPath(click.Path):
+    """A path that is not empty: "", as of a shell variable that is not set, would be the current
+    folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Check and convert a value."""
+        if str(value) == "":
+            self.fail("is empty; give a path, or . for the current folder", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 class Parsed(click.ParamType):  # type: ignore[type-arg]  # generic only since click 8.3
@@ -170,14 +179,15 @@ def flags_of(kind: type, every: bool = False) -> Callable[[Command], Command]:
 
 
 class TrainingCommand(SectionedCommand):
-    """A command with `training_flags`, and those of schedules of other packages.
+    """A command with `training_flags`, and those of schedules and parts of other packages.
 
     Code of others is loaded only for the schedules and parts that the arguments name.
     """
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments, by the flags of the schedules among them as well."""
-        ctx.meta[OTHERS] = Others() if ctx.resilient_parsing else _others_named(args)
+        """Parse the arguments, by the flags of the schedules and parts among them as well."""
+        if not ctx.resilient_parsing:
+            self._read_named(ctx, args)
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
@@ -186,6 +196,23 @@ class TrainingCommand(SectionedCommand):
                 raise InputError(f"{error.option_name}: is a key of the file of --config and no "
                                  f"flag; write {name} = VALUE there") from None
             raise
+
+    def _read_named(self, ctx: click.Context, args: list[str]) -> None:
+        """Read the file of --config, and add the flags of what others register and it or the
+        arguments name."""
+        parser = self.make_parser(ctx)
+        parser.ignore_unknown_options = True
+        given, _, _ = parser.parse_args(list(args))
+        named = f"{given.get('schedule', '')},{given.get('schedules', '')}".split(",")
+        schedules = [name for name in named if name and name not in OURS and name in others()]
+        config = from_toml(given["config"], *schedules) if given.get("config") else {}
+        kind = options_with(*schedules, config.get("schedule", TrainOptions.schedule),
+                            parts=config.get("add_parts", ()))
+        own = {option.name for option in options_of(TrainOptions)}
+        ctx.meta[OPTIONS], ctx.meta[CONFIG] = kind, config
+        ctx.meta[OTHER_FLAGS] = [SectionedOption(names, **settings) for names, settings in (
+            _flag(option) for option in options_of(kind)
+            if option.metadata["flag"] and option.name not in own)]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the sections; --help-all ends with the keys that are no flags."""
@@ -197,39 +224,8 @@ class TrainingCommand(SectionedCommand):
                     for option in options_of(TrainOptions) if not option.metadata["flag"]])
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """The parameters of the command; the same objects in each call."""
-        if OTHER_FLAGS not in ctx.meta:
-            named = ctx.meta.get(OTHERS, Others())
-            kind = options_with(*named.schedules, parts=named.parts)
-            own = {option.name for option in options_of(TrainOptions)}
-            ctx.meta[OTHER_FLAGS] = [SectionedOption(names, **settings) for names, settings in (
-                _flag(option) for option in options_of(kind)
-                if option.metadata["flag"] and option.name not in own)]
-        return [*ctx.meta[OTHER_FLAGS], *super().get_params(ctx)]
-
-
-class Others(NamedTuple):
-    """Names of schedules and parts of other packages."""
-
-    schedules: tuple[str, ...] = ()
-    parts: tuple[str, ...] = ()
-
-
-def _others_named(args: list[str]) -> Others:
-    """Those that arguments name, or a TOML file among them."""
-    words = [part for word in args for part in word.split("=", 1)]
-    schedules, parts = list[object](), list[object]()
-    for flag, value in zip(words, words[1:]):
-        if flag in ("--schedule", "--schedules"):
-            schedules += value.split(",")
-        elif flag == "--config":
-            with suppress(InputError):  # reported where it is read
-                file = table(value)
-                schedules.append(file.get("schedule", ""))
-                parts += file["add_parts"] if isinstance(file.get("add_parts"), list) else []
-    return Others(tuple(name for name in schedules
-                        if isinstance(name, str) and name not in OURS and name in others()),
-                  tuple(name for name in parts if isinstance(name, str) and name in PARTS.others))
+        """The parameters of the command."""
+        return [*ctx.meta.get(OTHER_FLAGS, ()), *super().get_params(ctx)]
 
 
 def training_flags(command: Command, every: bool = False) -> Command:
@@ -273,18 +269,15 @@ def check_free(output: Path, overwrite: bool) -> None:
 
 def given_options(ctx: click.Context, kind: type | None = None) -> dict[str, Any]:
     """The options of a dataclass, by name, that the user gave as flags; None: of a training."""
-    named = ctx.meta.get(OTHERS, Others())
-    kind = kind or options_with(*named.schedules, parts=named.parts)
-    return {option.name: ctx.params[option.name] for option in options_of(kind)
+    return {option.name: ctx.params[option.name] for option in options_of(kind or ctx.meta[OPTIONS])
             if option.name in ctx.params
             and ctx.get_parameter_source(option.name) is not ParameterSource.DEFAULT}
 
 
 def config_options(ctx: click.Context) -> dict[str, Any]:
     """The options of a training, by name, in the file of --config."""
-    config: Path | None = ctx.params["config"]
-    named = ctx.meta[OTHERS]
-    return from_toml(config, *named.schedules, parts=named.parts) if config else {}
+    values: dict[str, Any] = ctx.meta[CONFIG]
+    return values
 
 
 def _flag(option: Option) -> tuple[list[str], dict[str, Any]]:

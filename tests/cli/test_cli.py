@@ -26,6 +26,10 @@ from clsplat.options import TrainOptions
 from tests.data.tiny_model import write_scene
 from tests.data.tiny_training import CITY
 
+# of a variable that is not set; "" must not be the current folder
+EMPTY_PATHS = [("train", "scene", "-o", ""), ("train", ""), ("compare", ""),
+               ("train", "scene", "-o", "run", "--config", "")]
+
 
 def clsplat_(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
@@ -101,13 +105,15 @@ def test_interrupts_exit_130(error, said):
 
 @pytest.mark.parametrize("arguments", [
     ("train", "scene"), ("train", "scene", "-o", "run", "--nonsense"), ("nonsense",),
-    ("train", "scene", "-o", "run", "-n", "many"), ("train", "s", "-o", "r", "--poses", "steam")])
+    ("train", "scene", "-o", "run", "-n", "many"), ("train", "s", "-o", "r", "--poses", "steam"),
+    *EMPTY_PATHS])
 def test_wrong_usage_is_one_line_and_exit_2(arguments):
     result = clsplat_(*arguments)
     assert result.exit_code == 2
     assert result.stderr.startswith("error: ")
     assert "--help`." in result.stderr or ": expects " in result.stderr
     assert result.stderr.count("\n") == 1
+    assert (arguments in EMPTY_PATHS) == ("is empty; give a path" in result.stderr)
 
 
 @pytest.fixture(scope="module")
