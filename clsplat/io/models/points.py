@@ -134,8 +134,8 @@ def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | N
                 check_expansion(size, count * max(width, RECORD_BYTES))
             elif header.offset_to_point_data + count * width > size:
                 raise ValueError(f"its {size} bytes are too few for {count} points")
-            found = reader.read()
-        points, colours = np.array(found.xyz), None
+            found = reader.read_points(count)  # `read` would count records behind them to 2^32
+        points, colours = np.stack([found.x, found.y, found.z], axis=1), None
         if len(points) != count:
             raise ValueError(f"it has {len(points)} points, not {count}")
         if set(COLOURS) <= set(header.point_format.dimension_names):
