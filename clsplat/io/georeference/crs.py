@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -160,16 +159,12 @@ def map_positions(degrees: ArrayLike, heights: ArrayLike, crs: str | None = None
     return result, target
 
 
-def cloud_on_map(system: Any, target: str, points: NDArray[np.float64], path: Path | str
-                 ) -> NDArray[np.float64] | None:
-    """Points float64[N, 3] of a file with a pyproj.CRS, east or longitude first, in the CRS of a
-    scene; None if they are in it already. Heights become metres, above whatever they were measured
-    from."""
-    flat, unit = _flat(system), heights_of(system).metres
-    if unit == 1 and flat.equals(_flat(pyproj_crs(target, "the scene")), ignore_axis_order=True):
-        return None
-    convert = conversion(flat.to_wkt(), target, f"{path}: CRS")
-    return np.column_stack([convert(points[:, :2]), unit * points[:, 2]])
+def is_on_map(system: Any, crs: str) -> bool:
+    """Whether coordinates in a pyproj.CRS are in the CRS of a scene, with heights in metres above
+    whatever they were measured from."""
+    flat, own = _flat(system), _flat(pyproj_crs(crs, "the scene"))
+    return heights_of(system).metres == 1 and (
+        flat.equals(own, ignore_axis_order=True) or _name(flat) == _name(own))
 
 
 def outside(crs: str, points: ArrayLike) -> str:

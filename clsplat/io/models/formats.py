@@ -69,7 +69,7 @@ def read_with_notes(path: str | Path, offset: ArrayLike | None = None,
     offset : float64[3], original coordinates of the origin of the local ones; None: the one that
         the file records.
     georeference : of the scene for which it is read: LAS and LAZ hold map coordinates, which
-        become original ones, from whatever CRS they name.
+        become original ones; InputError if they name another CRS.
 
     Raises
     ------

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
@@ -62,6 +62,8 @@ ATTRIBUTES: tuple[tuple[str, str, int, Callable[..., Any], Callable[..., Any]], 
 HARMONICS = [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}" for degree in (1, 2, 3)
              for number in range(2 * degree + 1)]
 TURN = np.array([-1.0, -1.0, 1.0])  # half a turn about z
+IDENTITY: dict[str, ArrayLike] = {
+    "matrix": np.eye(4).ravel(), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 UPRIGHT = "clsplat: upright"  # the node whose rotation is for viewers, and not read back
 # SPZ has y and z of a model the other way round; of these, z becomes y (columns)
 STORED_TO_Y_UP = (1.0, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1)
@@ -194,33 +196,15 @@ def _primitives(document: dict[str, Any]) -> Iterator[tuple[dict[str, Any], NDAr
     """The primitives that are gaussians, and the translation float64[3] of each."""
     if EXTENSION not in document.get("extensionsUsed", ()):
         raise ValueError("it has no gaussians")
-    scene = document["scenes"][document.get("scene", 0)]
-    waiting, seen = [(number, np.zeros(3)) for number in scene["nodes"]], set()
-    while waiting:
-        number, place = waiting.pop()
-        if number in seen:
-            raise ValueError("a node occurs twice")
-        seen.add(number)
-        node = document["nodes"][number]
-        place = place + _translation(node)
-        waiting += [(child, place) for child in node.get("children", ())]
+    for node in document["nodes"]:
+        place = np.array(node.get("translation", (0, 0, 0)), np.float64)
+        is_plain = all(np.allclose(node.get(name, same), same) for name, same in IDENTITY.items())
+        if node.get("name") != UPRIGHT and not (is_plain and ("mesh" in node or not place.any())):
+            raise ValueError("a node turns, scales or moves others: apply the transforms before")
         if "mesh" in node:
             for primitive in document["meshes"][node["mesh"]]["primitives"]:
                 if EXTENSION in primitive.get("extensions", {}):
                     yield primitive, place
-
-
-def _translation(node: dict[str, Any]) -> NDArray[np.float64]:
-    """The translation float64[3] of a node, which may have no other transform."""
-    matrix = np.array(node.get("matrix", np.eye(4).ravel()), np.float64).reshape(4, 4).T
-    turn = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
-    scale = np.array(node.get("scale", (1, 1, 1)), np.float64)
-    if node.get("name") != UPRIGHT and not (
-            np.allclose(matrix[:3, :3], np.eye(3)) and np.allclose(np.abs(turn), (0, 0, 0, 1))
-            and np.allclose(scale, 1)):
-        raise ValueError("a node turns or scales its gaussians: apply the transforms before")
-    place: NDArray[np.float64] = matrix[:3, 3] + np.array(node.get("translation", (0, 0, 0)), float)
-    return place
 
 
 def _rows(document: dict[str, Any], content: bytes, primitive: dict[str, Any]
@@ -238,10 +222,22 @@ def _rows(document: dict[str, Any], content: bytes, primitive: dict[str, Any]
     attributes = primitive["attributes"]
 
     def values(name: str, width: int) -> NDArray[np.float64]:
-        raw = accessor(document, attributes[name], width, lambda _: content)
+        """The values [N, width] of an attribute."""
+        found = document["accessors"][attributes[name]]
+        view = document["bufferViews"][found["bufferView"]]
+        kind = np.dtype(COMPONENTS[found["componentType"]])
+        count, stride = found["count"], view.get("byteStride", kind.itemsize * width)
+        start = view.get("byteOffset", 0) + found.get("byteOffset", 0)
+        if "sparse" in found or WIDTHS[found["type"]] != width:
+            raise ValueError("an attribute is sparse or of another type")
+        if view["buffer"] != 0 or count < 0 or start < 0 or stride < kind.itemsize * width:
+            raise ValueError("an attribute has an impossible place")
+        check_expansion(len(content), 8 * width * count)
+        # numpy compares the place with the size of the content
+        raw = np.ndarray((count, width), kind, content, start, (stride, kind.itemsize))
         result = raw.astype(np.float64)
-        if document["accessors"][attributes[name]].get("normalized") and raw.dtype.kind != "f":
-            result = np.maximum(result / np.iinfo(raw.dtype).max, -1)
+        if found.get("normalized") and kind.kind != "f":
+            result = np.maximum(result / np.iinfo(kind).max, -1)
         return result
 
     rows = {field: decode(values(name, width)) for name, field, width, _, decode in ATTRIBUTES}
@@ -254,30 +250,3 @@ def _rows(document: dict[str, Any], content: bytes, primitive: dict[str, Any]
         raise ValueError("its attributes differ in number")
     return rows
 
-
-def accessor(document: dict[str, Any], number: int, width: int,
-             buffer: Callable[[dict[str, Any]], Any]) -> NDArray[Any]:
-    """The values [N, width] of an accessor, as they are stored.
-
-    Parameters
-    ----------
-    buffer : called with the description of a buffer, returns its bytes.
-
-    Raises
-    ------
-    ValueError, LookupError, TypeError : the document is damaged, or claims more than there is.
-    """
-    found = document["accessors"][number]
-    view = document["bufferViews"][found["bufferView"]]
-    described = document["buffers"][view["buffer"]]
-    kind = np.dtype(COMPONENTS[found["componentType"]])
-    count, stride = found["count"], view.get("byteStride", kind.itemsize * width)
-    start = view.get("byteOffset", 0) + found.get("byteOffset", 0)
-    if "sparse" in found or WIDTHS[found["type"]] != width:
-        raise ValueError("an attribute is sparse or of another type")
-    if count < 0 or start < 0 or stride < kind.itemsize * width:
-        raise ValueError("an attribute has an impossible place")
-    content = buffer(described)
-    check_expansion(len(content), 8 * width * count)
-    # numpy compares the place with the size of the content
-    return np.ndarray((count, width), kind, content, start, (stride, kind.itemsize))

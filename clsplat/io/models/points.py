@@ -6,7 +6,6 @@ intensity. They have map coordinates if the scene is georeferenced: the format h
 numbers.
 """
 
-import logging
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -22,7 +21,7 @@ from clsplat.errors import InputError, clean, reason
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import LARGEST_COORDINATE, reading
-from clsplat.io.georeference.crs import cloud_on_map, pyproj_crs
+from clsplat.io.georeference.crs import is_on_map, pyproj_crs
 from clsplat.io.models.values import Notes, colours_of, opacities, usable
 from clsplat.io.regular import open_regular
 from clsplat.io.unpack import check_expansion
@@ -115,8 +114,8 @@ def write_las(path: Path, gaussians: Gaussians, notes: Notes) -> None:
 
 def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | None = None
              ) -> tuple[Gaussians, Notes]:
-    """Read the points of a LAS or LAZ file as gaussians, converted to a CRS if the file names
-    another; see `models.read_with_notes`."""
+    """Read the points of a LAS or LAZ file as gaussians; InputError if it names another CRS; see
+    `models.read_with_notes`."""
     laspy = _laspy_for(path)
     with reading(path, "a LAS or LAZ file"), open_regular(path) as file:
         size = file.seek(0, 2)
@@ -141,21 +140,19 @@ def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | N
         if set(COLOURS) <= set(header.point_format.dimension_names):
             colours = np.stack([found[name] for name in COLOURS], axis=1)
         if crs is not None:
-            points = _converted(path, header, crs, points)
+            _check_crs(path, header, crs)
         return _cloud(path, points, colours if np.any(colours) else None, offset), Notes()
 
 
-def _converted(path: Path, header: Any, crs: str, points: NDArray[np.float64]
-               ) -> NDArray[np.float64]:
-    """Points in a CRS; as they are if the file names none that is known."""
+def _check_crs(path: Path, header: Any, crs: str) -> None:
+    """InputError if a file names another CRS than the scene's."""
     system = None
     with suppress(Exception):  # of any kind, for damaged records
         system = header.parse_crs()
-    if system is None or (found := cloud_on_map(system, crs, points, path)) is None:
-        return points
-    logging.getLogger(__name__).warning("%s: its points are converted from %s to %s", path,
-                                        clean(system.name), clean(crs))
-    return found
+    if system is not None and not is_on_map(system, crs):
+        raise InputError(f"{path}: its points are in {clean(system.name)}, and the scene is in "
+                         f"{clean(crs)[:60]}; convert them (with PDAL), or georeference the scene "
+                         "again with their --crs")
 
 
 def _shares(values: NDArray[np.floating]) -> NDArray[np.uint16]:

@@ -2,13 +2,12 @@
 
 A gzip stream of a header and then, one after the other for all gaussians: positions of 24 bits,
 opacities, colours, scales, rotations, and harmonics of 8 bits. Version 4 has a header of 32 bytes,
-extensions, a table of the packed and unpacked size of each part, and the parts as streams of
-Zstandard without gaps (README.md and extensions/README.md of nianticlabs/spz). The axes are right,
-up, backward: those of a PLY, which are right, down, forward, after half a turn about x.
+a table of the packed and unpacked size of each part, and the parts as streams of Zstandard without
+gaps (README.md of nianticlabs/spz). The axes are right, up, backward: those of a PLY, which are
+right, down, forward, after half a turn about x.
 """
 
 import io
-import logging
 import re
 import struct
 import zlib
@@ -43,17 +42,15 @@ from clsplat.io.unpack import check_expansion, check_rows
 
 HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, SH degree, fractional bits, flags
 HEADER_4 = struct.Struct("<16sI12x")  # of version 4: HEADER, where the table begins
-ENTRY, EXTENSION = struct.Struct("<QQ"), struct.Struct("<II")  # sizes; kind and length
+ENTRY = struct.Struct("<QQ")  # the sizes of a stream
 MAGIC, VERSION, WITH_STREAMS = b"NGSP", 3, 4
 ANTIALIASED, EXTENDED = 1, 2  # flags
-OTHER_AXES = 0xADBE0003  # an extension of Adobe
-MOST_EXTENSION_BYTES = 1 << 16  # of a gzip stream, behind the gaussians
 # with the flags, and without the time, so that equal models give equal bytes
 GZIP_HEADER = b"\x1f\x8b\x08%c\0\0\0\0\2\xff"
 COMMENT = 16  # the flag of a comment, which ends with a zero byte; other readers skip it
 ORIGIN = re.compile(rb"origin_of_positions (\S+) (\S+) (\S+)")
 ROTATION_BYTES = {2: 3, 3: 4, 4: 4}  # by the version
-HIGHEST_DEGREE, KEPT_DEGREE = 4, 3  # of harmonics
+HIGHEST_DEGREE = 3  # of harmonics
 COLOURS, LOG_SCALES, HARMONICS = Steps(0.15 * 255, 127.5), Steps(16, 160), Steps(128, 128)
 # the least significant bits of harmonics that are zero, so that they compress, as in the reference
 # implementation: of the first degree, of the others
@@ -124,10 +121,6 @@ def read_spz(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
     with reading(path, "a SPZ file"):
         data = read_regular(path)
         header = _header(data)
-        if header.degree > KEPT_DEGREE:
-            logging.getLogger(__name__).warning(
-                "%s: its spherical harmonics of degree %d are left out: degree %d is the highest "
-                "that is read", path, header.degree, KEPT_DEGREE)
         return (gaussians_of(path, unpacked_spz(data), _origin(data), offset),
                 Notes((MIP,) if header.flags & ANTIALIASED else ()))
 
@@ -144,11 +137,10 @@ def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
     position, opacity, colour, scale, rotation, sh = (
         np.frombuffer(content, np.uint8).reshape(count, width)
         for content, width in zip(contents, widths))
-    bands = min(widths[-1] // 3, (KEPT_DEGREE + 1) ** 2 - 1)
     return half_turn({
         "positions": _positions(position, header.bits),
         "sh_constant": COLOURS.values(colour),
-        "sh_rest": HARMONICS.values(sh[:, :3 * bands].reshape(count, bands, 3)),
+        "sh_rest": HARMONICS.values(sh.reshape(count, widths[-1] // 3, 3)),
         "opacity_logits": byte_logits(opacity[:, 0]),
         "log_scales": LOG_SCALES.values(scale),
         "quaternions": _rotations(rotation),
@@ -165,19 +157,19 @@ def _header(data: bytes) -> _Header:
                          f"{header.version}" if magic == MAGIC else "its header is another")
     if header.degree > HIGHEST_DEGREE or header.bits > MOST_FRACTIONAL_BITS:
         raise ValueError(f"SH degree {header.degree}, {header.bits} fractional bits")
+    if header.flags & EXTENDED:
+        raise ValueError("its extensions are not read; write it without them")
     return header
 
 
 def _stream(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
     """The parts of a file that is one gzip stream."""
     size = sum(sizes)
-    most = size + (MOST_EXTENSION_BYTES if header.flags & EXTENDED else 0)
     stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
-    content = stream.decompress(data, HEADER.size + most + 1)[HEADER.size:]
+    content = stream.decompress(data, HEADER.size + size + 1)[HEADER.size:]
     # at the end the checksum was compared
-    if not size <= len(content) <= most or not stream.eof:
+    if len(content) != size or not stream.eof:
         raise ValueError(f"its {header.number} gaussians have another size")
-    _check_extensions(content[size:])
     return [content[end - size:end] for end, size in zip(np.cumsum(sizes), sizes)]
 
 
@@ -191,8 +183,6 @@ def _streams(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
     at = table + header.streams * ENTRY.size
     if header.streams != sum(map(bool, sizes)) or not HEADER_4.size <= table <= at <= len(data):
         raise ValueError(f"its table of {header.streams} streams does not fit")
-    if header.flags & EXTENDED:
-        _check_extensions(data[HEADER_4.size:table])
     entries, parts = ENTRY.iter_unpack(data[table:at]), []
     for size in sizes:
         packed, claimed = next(entries) if size else (0, 0)
@@ -204,16 +194,6 @@ def _streams(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
             raise ValueError("it holds more or less than its header claims")
         at += packed
     return parts
-
-
-def _check_extensions(data: bytes) -> None:
-    while data:
-        kind, size = EXTENSION.unpack_from(data.ljust(EXTENSION.size, b"\xff"))
-        if EXTENSION.size + size > len(data):
-            raise ValueError("its extensions are cut short")
-        if kind == OTHER_AXES:
-            raise ValueError("its extension for other axes is not read")
-        data = data[EXTENSION.size + size:]
 
 
 def _positions(data: NDArray[np.uint8], bits: int) -> NDArray[np.float64]:

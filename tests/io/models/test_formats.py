@@ -270,5 +270,5 @@ def test_another_place_of_the_buffer_and_damage(tmp_path):
         assert "\n" not in str(caught.value)
     turned = {**document["nodes"][0], "name": "of another program"}
     changed(path, {**document, "nodes": [turned]}, content)
-    with pytest.raises(InputError, match="a node turns or scales its gaussians"):
+    with pytest.raises(InputError, match="a node turns, scales or moves others"):
         read_model(path)

@@ -1,4 +1,4 @@
-"""Points of laser scanners come into the scene from whatever CRS their file names."""
+"""Points of laser scanners are refused if their file names another CRS than the scene's."""
 
 from dataclasses import replace
 
@@ -14,7 +14,6 @@ laspy = pytest.importorskip("laspy", reason="laspy is an extra: pip install 'cls
 PLACE = Georeference("EPSG:32755", (686696.0, 6090238.0, 100.0), "GPS", 0.1)
 POINTS = np.random.default_rng(0).uniform(0, 50, (40, 3))  # original coordinates
 COMPOUND = "EPSG:32755+5773"
-FOOT = 1200 / 3937
 
 
 def write(path, points, crs=None, version="1.4"):
@@ -30,39 +29,32 @@ def write(path, points, crs=None, version="1.4"):
     return path
 
 
-def in_crs(crs, scale=1.0):
-    """POINTS in another CRS, east first; heights divided by the metres of their unit."""
+def in_crs(crs):
+    """POINTS in another CRS, east first."""
     places = POINTS + PLACE.offset
     to = pyproj.Transformer.from_crs(PLACE.crs, crs, always_xy=True)
-    return np.column_stack([*to.transform(*places[:, :2].T), places[:, 2] / scale])
+    return np.column_stack([*to.transform(*places[:, :2].T), places[:, 2]])
 
 
-@pytest.mark.parametrize("crs, scale", [
-    ("EPSG:4979", 1), ("EPSG:28355", 1), ("EPSG:32755+5773", 1), ("EPSG:4326+5773", 1),
-    ("EPSG:32755+6360", FOOT), ("+proj=utm +zone=55 +south +units=us-ft", FOOT)])
-def test_files_of_another_crs_are_converted(tmp_path, crs, scale, caplog):
+@pytest.mark.parametrize("crs", [
+    "EPSG:4979", "EPSG:28355", "EPSG:4326+5773", "EPSG:32755+6360",
+    "+proj=utm +zone=55 +south +units=us-ft"])
+def test_files_of_another_crs_are_refused(tmp_path, crs):
     flat = crs.partition("+")[0] if crs.startswith("EPSG") else crs
-    path = write(tmp_path / "a.laz", in_crs(flat, scale), crs)
-    found = read_model(path, georeference=PLACE)
-    assert np.abs(found.positions + found.offset - POINTS).max() < 0.01
-    assert ("its points are converted from" in caplog.text) == (crs != "EPSG:32755+5773")
+    path = write(tmp_path / "a.laz", in_crs(flat), crs)
+    with pytest.raises(InputError, match=r"a\.laz: its points are in .*EPSG:32755; convert them"):
+        read_model(path, georeference=PLACE)
 
 
 @pytest.mark.parametrize("version, crs, own", [
     ("1.2", "EPSG:32755", PLACE.crs), ("1.4", None, PLACE.crs), ("1.4", "EPSG:32755", COMPOUND),
-    ("1.4", COMPOUND, COMPOUND)])
+    ("1.4", COMPOUND, COMPOUND), ("1.4", COMPOUND, PLACE.crs)])
 def test_files_of_the_scenes_crs_or_of_none_stay(tmp_path, version, crs, own, caplog):
     path = write(tmp_path / "a.las", POINTS + PLACE.offset, crs, version)
     found = read_model(path, georeference=replace(PLACE, crs=own))
     assert np.abs(found.positions + found.offset - POINTS).max() < 0.01 and not caplog.records
     alone = read_model(write(tmp_path / "b.las", in_crs("EPSG:4326"), "EPSG:4326"))
     assert abs((alone.positions + alone.offset)[0, 0] - 149) < 1  # without a scene, its own
-
-
-def test_places_that_the_scenes_crs_cannot_hold(tmp_path):
-    path = write(tmp_path / "a.las", POINTS % 1 + (149, 120, 0), "EPSG:4326")  # no latitude
-    with pytest.raises(InputError, match=r"a\.las: CRS: some places .* have no coordinates in"):
-        read_model(path, georeference=PLACE)
 
 
 def test_a_record_of_the_crs_that_is_damaged_is_none(tmp_path):
