@@ -27,7 +27,7 @@ from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.records import object_of
 from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
-from clsplat.io.scenes.options import SceneOptions
+from clsplat.options import SceneOptions
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import Arrays, Saved, gaussians_of

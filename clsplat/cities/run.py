@@ -30,8 +30,7 @@ from clsplat.estimate.forecast import Forecast, Planned
 from clsplat.gaussians import LEARNED
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
-from clsplat.io.scenes.options import SceneOptions
-from clsplat.options import ScheduledOptions, TrainOptions
+from clsplat.options import SceneOptions, ScheduledOptions, TrainOptions
 from clsplat.partition.options import (
     BLOCK_STEPS,
     JOINT_STEPS,

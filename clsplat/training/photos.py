@@ -23,7 +23,7 @@ from clsplat.device import Array, ArraySpec, Device
 from clsplat.io.ahead import called_ahead
 from clsplat.io.photos.resample import BAND_BYTES
 from clsplat.io.photos.views import photo_bands, read_valid
-from clsplat.io.scenes.options import SceneOptions
+from clsplat.options import SceneOptions
 from clsplat.scene import View
 from clsplat.training.parts.outlier_masks import Cells, resampled, spread
 

@@ -30,7 +30,7 @@ COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")  # as files name
 # those of COLMAP's camera models, after focal length and centre: factors of r^2, r^4, ... (k), of
 # tangential distortion (p), and of the polynomial that divides (d)
 TERMS = {"PINHOLE": "", "OPENCV": "k1 k2 p1 p2", "FULL_OPENCV": "k1 k2 p1 p2 k3 d1 d2 d3",
-         "OPENCV_FISHEYE": "k1 k2 k3 k4", "THIN_PRISM_FISHEYE": "k1 k2 p1 p2 k3 k4 s1 s2"}
+         "OPENCV_FISHEYE": "k1 k2 k3 k4"}
 BROWN = ("PINHOLE", "OPENCV", "FULL_OPENCV")
 FISHEYE = ("OPENCV_FISHEYE",)
 GREY = 128  # of points without colours
@@ -53,12 +53,10 @@ class Cloud:
     ----------
     positions : float64[N, 3], world.
     colours : uint8[N, 3]; None: unknown, drawn in grey.
-    observations : int[M, 2], rows (point, photo); None: unknown.
     """
 
     positions: NDArray[np.float64]
     colours: NDArray[np.uint8] | None = None
-    observations: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
@@ -136,8 +134,6 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
         "sizes": np.array([each.size for each in optics])}
     if cloud is not None:
         arrays |= {"points": cloud.positions, "colours": _colours(cloud)}
-        if cloud.observations is not None:
-            arrays["observations"] = cloud.observations
     arrays = undistorted_model(path, arrays, [each.model for each in optics])
     by_name = {photo.name: photo for photo in photos}
     used = [by_name[name] for name in arrays["files"]]

@@ -19,8 +19,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.formats import count_of, read_model
 from clsplat.io.models.values import morton_order
-from clsplat.io.scenes.options import SceneOptions
-from clsplat.options import TrainOptions, seconds_of
+from clsplat.options import SceneOptions, TrainOptions, seconds_of
 from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of
 from clsplat.stereo.dense_points import SIDE, dense_points, sweep_seconds
