@@ -99,9 +99,6 @@ class RunOptions:
                                    "or longer where writing them would take more than a twentieth "
                                    "of the time; end: only at the end", affects="nothing",
                                    words={AUTO: AUTO, "end": 0}, minimum=1)
-    eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps, such as "
-                                      "500,2000", affects="time", words={"none": ()}, minimum=1,
-                                      expects="a list of steps, each at least 1", flag=False)
     eval_every: int = option(AUTO, "Run", "steps between evaluations on the held-out views; auto: "
                              "eight evaluations, fewer where they are slow; end: only at the end",
                              affects="time", main=True, words={AUTO: AUTO, "end": 0}, minimum=1)

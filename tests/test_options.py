@@ -20,7 +20,7 @@ from clsplat.options import (
     seconds_of,
     serves,
 )
-from clsplat.schedule import OURS, schedule_of
+from clsplat.schedule.registry import OURS, schedule_of
 from clsplat.schedule.sig import PAPER, RELEASE
 from tests.test_layout import ROOT
 
@@ -158,9 +158,7 @@ def test_a_wrong_file_is_one_line_that_names_it(text, message, toml):
 
 
 @pytest.mark.parametrize("text, wish", [
-    ("eval_at = ['a']", "none or a list of steps"),
-    ("eval_at = [true]", "none or a list of steps"),
-    ("eval_at = 7", "none or a list of steps"),
+    ("background = 7", "three numbers from 0 to 1"),
     ("background = ['a', 'b', 'c']", "three numbers from 0 to 1"),
     ("background = [0, 0, 1.5]", "three numbers from 0 to 1"),
     ("downscale = inf", "a finite number"),

@@ -28,7 +28,8 @@ from clsplat.io.runs.run import CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.scene import Scene, View
-from clsplat.schedule import SceneFacts, worthwhile_steps
+from clsplat.schedule.plan import SceneFacts
+from clsplat.schedule.steps import worthwhile_steps
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
@@ -171,7 +172,7 @@ def coarse_options(city: City, joint: bool = False) -> TrainOptions:
         options, coarse=True, init=AUTO,
         downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
-        iterations=max(1, int(share * one_run)), eval_at=(), eval_every=0)
+        iterations=max(1, int(share * one_run)), eval_every=0)
 
 
 def _options_before(run: Run) -> TrainOptions:

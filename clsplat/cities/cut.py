@@ -30,7 +30,8 @@ from clsplat.rendering.project import Rows
 from clsplat.report.figures.map import write_map
 from clsplat.report.page import Table
 from clsplat.scene import Scene
-from clsplat.schedule import SceneFacts, schedule_of
+from clsplat.schedule.plan import SceneFacts
+from clsplat.schedule.registry import schedule_of
 from clsplat.training.start.prepare import smallest_size
 
 REQUESTED = "asked"  # key of partition.json for the PartitionOptions
@@ -150,7 +151,7 @@ def block_steps(city: City, steps: float, size: tuple[int, int], facts: SceneFac
 
     `size` : (width, height) of its smallest training image; `facts` : of the whole."""
     schedule = schedule_of(city.options.schedule)
-    shrunk = dataclasses.replace(city.options, iterations=max(1, round(steps)), eval_at=(),
+    shrunk = dataclasses.replace(city.options, iterations=max(1, round(steps)),
                                  eval_every=0)
     shrunk = dataclasses.replace(shrunk, **schedule.options_of_block(shrunk, size, facts))
     return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)

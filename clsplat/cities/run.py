@@ -40,7 +40,9 @@ from clsplat.partition.options import (
 from clsplat.rendering.options import RenderingOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
-from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
+from clsplat.schedule.plan import SceneFacts
+from clsplat.schedule.registry import schedule_of
+from clsplat.schedule.steps import worthwhile_steps
 from clsplat.training.photos import size_note
 from clsplat.training.start.prepare import scene_facts
 

@@ -16,7 +16,7 @@ from clsplat.partition.blocks import seen_pixels, trainable
 from clsplat.partition.region import Region
 from clsplat.response import Response
 from clsplat.scene import Scene, View
-from clsplat.schedule import SceneFacts
+from clsplat.schedule.plan import SceneFacts
 from clsplat.training.part import Part, State
 from clsplat.training.parts.exposures import PhotoResponses
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import traceback
@@ -81,8 +82,8 @@ class Reporting(click.Group):
                 sys.stdout.flush()
                 return code if isinstance(code, int) else 0
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (the outermost place)
-                interrupts.end()
-                message, code = verdict(error, interrupts.number)
+                interrupts.deferred = math.inf  # what is left is to print how it ended
+                message, code = verdict(error, next(iter(interrupts.received), 0))
                 if "--traceback" in arguments or code == BUG:
                     say("".join(traceback.format_exception(error)).rstrip())
                 if message:

@@ -28,9 +28,9 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.options import ScheduledOptions, TrainOptions, seconds_of
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene, View
-from clsplat.schedule import laid_over
 from clsplat.schedule.plan import size_at
 from clsplat.schedule.simulate import Segment, largest, simulate
+from clsplat.schedule.steps import laid_over
 from clsplat.training.model import ENGINES, Model
 from clsplat.training.part import Decision
 from clsplat.training.photos import DEVICE_SHARE, at_level, decoded, photo_array, reading_bytes

@@ -10,7 +10,7 @@ from clsplat.device import Array, Device
 from clsplat.gaussians import Gaussians
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene, View
-from clsplat.schedule import Plan
+from clsplat.schedule.plan import Plan
 from clsplat.training.photos import Photos, at_level, decode
 from clsplat.training.session import Session
 

@@ -5,15 +5,3 @@ scene frequency, `constant` is that of 3DGS, `dash` and `taming` are the baselin
 `mcmc` is one more.
 Other packages register theirs (registry.py).
 """
-
-from clsplat.schedule.plan import Plan, SceneFacts, Schedule
-from clsplat.schedule.registry import OURS, schedule_of
-from clsplat.schedule.steps import (
-    laid_over,
-    planned_steps,
-    scaled_steps,
-    worthwhile_steps,
-)
-
-__all__ = ["OURS", "Plan", "SceneFacts", "Schedule", "laid_over",
-           "planned_steps", "scaled_steps", "schedule_of", "worthwhile_steps"]

@@ -18,9 +18,9 @@ from typing import Any
 
 from clsplat.config.option import is_auto
 from clsplat.errors import InputError
-from clsplat.evaluation.views import FINAL_METRICS, METRICS, evaluate_views
+from clsplat.evaluation.views import FINAL_METRICS, evaluate_views
 from clsplat.options import seconds_of
-from clsplat.schedule import Plan
+from clsplat.schedule.plan import Plan
 from clsplat.training.model import checkpoint_bytes
 from clsplat.training.recorder import EVALUATIONS, Clock
 from clsplat.training.session import Session
@@ -37,28 +37,25 @@ EVALUATION_SHARE = 0.1  # of the budget at most
 MOST_OVERHEAD = 0.5  # share of the budget that all but training may take
 
 
-def evaluation_seconds(session: Session) -> tuple[float, float]:
-    """Seconds of one evaluation, and how many more the last one takes; measured."""
-    each, last, view = 0.0, 0.0, session.test_views[:1]
-    for metrics in (METRICS, METRICS, FINAL_METRICS) if view else ():  # the first compiles
+def evaluation_seconds(session: Session) -> float:
+    """Seconds of the last evaluation, which has the most metrics; measured on one view."""
+    seconds, view = 0.0, session.test_views[:1]
+    for _ in range(2 if view else 0):  # the first compiles
         begin = time.perf_counter()
         evaluate_views(session.renderer, session.model.rows, session.options.sh_degree, view,
-                       metrics=metrics)
-        each, last = last, time.perf_counter() - begin
-    return each * len(session.test_views), (last - each) * len(session.test_views)
+                       metrics=FINAL_METRICS)
+        seconds = time.perf_counter() - begin
+    return seconds * len(session.test_views)
 
 
 class Deadline:
     """Adapts the number of steps of a session to the time that its steps take.
 
-    An evaluation takes `each` seconds, and the last one `last_extra` more; the caller keeps
-    `evaluation_seconds`, of one evaluation, up to date.
+    An evaluation takes at most `evaluation` seconds, unless one turns out to take more.
     """
 
-    def __init__(self, session: Session, clock: Clock, each: float, last_extra: float = 0.0
-                 ) -> None:
-        self.session, self.clock = session, clock
-        self.evaluation_seconds, self._last_extra = each, last_extra
+    def __init__(self, session: Session, clock: Clock, evaluation: float) -> None:
+        self.session, self.clock, self._evaluation = session, clock, evaluation
         self._seconds = seconds = seconds_of(session.options.time_budget)
         self._rate = BYTES_PER_SECOND
         self._pending = 0  # evaluations to come before the last one
@@ -72,7 +69,7 @@ class Deadline:
                 f"--time-budget {seconds:g}s: reading the photos, evaluating and saving once take "
                 f"{needed:.1f} s here; give at least {least}s")
         wanted = EVALUATIONS if is_auto(session.options.eval_every) else 1
-        affordable = EVALUATION_SHARE * seconds / max(each, 1e-9)
+        affordable = EVALUATION_SHARE * seconds / max(evaluation, 1e-9)
         self._evaluations = max(1, int(min(wanted, affordable)))
         self._pending = self._evaluations - 1
         self.note_change()
@@ -89,6 +86,10 @@ class Deadline:
     def note_saved(self, seconds: float) -> None:
         """Note the seconds that a checkpoint took."""
         self._rate = max(self._saved_bytes() / max(seconds, 1e-3), 1e6)
+
+    def note_evaluated(self, seconds: float) -> None:
+        """Note the seconds that an evaluation took."""
+        self._evaluation = max(self._evaluation, seconds)
 
     def allowed(self, plan: Plan) -> Plan:
         """The plan of the next step, without what the model could not recover from."""
@@ -138,9 +139,8 @@ class Deadline:
 
     def _reserve(self) -> float:
         """Seconds to reserve for evaluations to come, files and the page."""
-        return (self.evaluation_seconds * (1 + self._pending) + self._last_extra
-                + self._saved_bytes() / self._rate + REPORT_SECONDS
-                + RESERVE_SHARE * self._seconds)
+        return (self._evaluation * (1 + self._pending) + self._saved_bytes() / self._rate
+                + REPORT_SECONDS + RESERVE_SHARE * self._seconds)
 
     def _saved_bytes(self) -> int:
         return checkpoint_bytes(self.session.step.count, self.session.options.sh_degree)

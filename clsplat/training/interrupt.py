@@ -1,43 +1,28 @@
 """Handles Ctrl-C and a scheduler's SIGTERM, so that no half step reaches the checkpoint."""
 
+import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import FrameType
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGBREAK")  # the last is Windows's, for Ctrl-Break
 
 
 class Interrupts:
-    """A signal handler that counts signals, and raises KeyboardInterrupt unless it has to wait.
+    """A signal handler that raises KeyboardInterrupt once more signals came than it may defer.
 
-    The count remains where C code replaces or swallows the exception, so the end of a command
-    checks `number`, that of the first signal, or 0.
+    `received` are their numbers, which remain where C code replaces or swallows the exception.
     """
 
     def __init__(self) -> None:
-        self.count = self.number = 0
-        self._waits = self._ended = False
+        self.received, self.deferred = list[int](), 0.0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        self.count += 1
-        self.number = self.number or number
-        if not self._ended and (not self._waits or self.count > 1):
+        self.received.append(number)
+        if len(self.received) > self.deferred:
             raise KeyboardInterrupt
-
-    def end(self) -> None:
-        """Only count signals from now on: the command has ended, and what is left is to say so."""
-        self._ended = True
-
-    @contextmanager
-    def waiting(self) -> Iterator[Callable[[], bool]]:
-        """Only count the first signal during the block; yields a function: whether it came."""
-        self._waits = True
-        try:
-            yield lambda: self.count > 0
-        finally:
-            self._waits = False
 
 
 @contextmanager
@@ -54,7 +39,7 @@ def handled_interrupts() -> Iterator[Interrupts]:
     try:
         yield handler
     finally:
-        handler.end()
+        handler.deferred = math.inf
         for number, was in before.items():
             signal.signal(number, was)
 
@@ -65,16 +50,16 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
 
     Yields a function that returns whether Ctrl-C was pressed.
     """
-    handler = signal.getsignal(signal.SIGINT)
-    if isinstance(handler, Interrupts):
-        with handler.waiting() as interrupted:
-            yield interrupted
-    else:
-        with handled_interrupts() as handler, handler.waiting() as interrupted:
-            yield interrupted
+    known = signal.getsignal(signal.SIGINT)
+    with nullcontext(known) if isinstance(known, Interrupts) else handled_interrupts() as handler:
+        handler.deferred = 1
+        try:
+            yield lambda: bool(handler.received)
+        finally:
+            handler.deferred = 0
 
 
 def was_interrupted(error: BaseException) -> bool:
     """Whether Ctrl-C caused an exception, even if C code replaced the KeyboardInterrupt."""
     return isinstance(error, KeyboardInterrupt) or bool(
-        getattr(signal.getsignal(signal.SIGINT), "count", 0))
+        getattr(signal.getsignal(signal.SIGINT), "received", ()))

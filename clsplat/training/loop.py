@@ -140,7 +140,7 @@ class Training:
                                      gaussians, run.path, level)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
-        self.deadline = Deadline(self.session, self.clock, *evaluation_seconds(self.session)
+        self.deadline = Deadline(self.session, self.clock, evaluation_seconds(self.session)
                                  ) if options.time_budget else None
         self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline,
                                      fingerprint(scene))
@@ -275,7 +275,7 @@ class Training:
         if not self.finished() and self._evaluates():  # the last one follows the saved model
             self.evaluator.evaluate()
             if deadline:
-                deadline.evaluation_seconds = self.evaluator.latest_seconds
+                deadline.note_evaluated(self.evaluator.latest_seconds)
         self.recorder.stepped(self._measured, frequency)
         if decision:  # after all that belongs to the step, which was taken at the level before
             self.recorder.log("level", **decision)
@@ -304,11 +304,8 @@ class Training:
 
     def _evaluates(self) -> bool:
         """Whether an evaluation follows the latest step, other than the last."""
-        options, deadline = self.session.options, self.deadline
-        if self.session.iteration in options.eval_at:
-            return True
-        if deadline and is_auto(options.eval_every):
-            return deadline.evaluates()
+        if self.deadline and is_auto(self.session.options.eval_every):
+            return self.deadline.evaluates()
         return self.evaluator.is_due()
 
     def _saves(self) -> bool:

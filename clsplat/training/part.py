@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from clsplat.io.runs.run import RunFolder
     from clsplat.options import TrainOptions
     from clsplat.scene import Scene, View
-    from clsplat.schedule import Plan, SceneFacts
     from clsplat.schedule.growth import Growth
+    from clsplat.schedule.plan import Plan, SceneFacts
     from clsplat.training.model import Model
     from clsplat.training.photos import Thumbnails
     from clsplat.training.session import Session

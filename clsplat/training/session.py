@@ -17,8 +17,8 @@ from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
 from clsplat.gaussians import Gaussians
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
-from clsplat.schedule import Plan, Schedule, laid_over
-from clsplat.schedule.plan import size_at
+from clsplat.schedule.plan import Plan, Schedule, size_at
+from clsplat.schedule.steps import laid_over
 from clsplat.training.model import Model
 from clsplat.training.part import Part, TrainingSample, ViewPass, overriding
 from clsplat.training.parts import parts_of

@@ -26,8 +26,8 @@ from clsplat.optimise.batch import BatchMean
 from clsplat.options import ScheduledOptions
 from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Gradients
-from clsplat.schedule import Plan, Schedule
 from clsplat.schedule.growth import Growth
+from clsplat.schedule.plan import Plan, Schedule
 from clsplat.training.capacity import FrameCapacity
 from clsplat.training.model import Model
 from clsplat.training.part import Inputs, Now, Part, TrainingSample, ViewPass

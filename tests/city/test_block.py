@@ -24,8 +24,8 @@ from clsplat.partition.blocks import (
 )
 from clsplat.partition.region import Region, Space
 from clsplat.response import Response
-from clsplat.schedule import OURS
 from clsplat.schedule.constant import Constant
+from clsplat.schedule.registry import OURS
 from clsplat.training.parts.exposures import PhotoResponses
 from tests.data.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, options_of, trained
 

@@ -10,9 +10,9 @@ import clsplat
 from clsplat.densify.grow import Candidates
 from clsplat.densify.round import MeasuredRound
 from clsplat.options import TrainOptions, resolve
-from clsplat.schedule import SceneFacts, Schedule
 from clsplat.schedule.dash import Dash
 from clsplat.schedule.mcmc import Mcmc
+from clsplat.schedule.plan import SceneFacts, Schedule
 from clsplat.schedule.taming import Taming
 from tests.data.tiny_training import CITY
 

@@ -29,8 +29,10 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
-from clsplat.schedule import OURS, SceneFacts, scaled_steps, schedule_of
+from clsplat.schedule.plan import SceneFacts
+from clsplat.schedule.registry import OURS, schedule_of
 from clsplat.schedule.simulate import Segment, largest, simulate
+from clsplat.schedule.steps import scaled_steps
 from clsplat.training.photos import Photos, size_note
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session

@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from clsplat.options import resolve
-from clsplat.schedule import SceneFacts, scaled_steps
+from clsplat.schedule.plan import SceneFacts
 from clsplat.schedule.sig import Sig
+from clsplat.schedule.steps import scaled_steps
 
 FACTS = SceneFacts(size=(640, 480), count=1000, inverse_distance=20.0, photos=None,
                   pixels=10 * 640 * 480)

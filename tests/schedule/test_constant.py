@@ -5,8 +5,9 @@ import dataclasses
 import pytest
 
 from clsplat.options import resolve
-from clsplat.schedule import SceneFacts, scaled_steps
 from clsplat.schedule.constant import Constant
+from clsplat.schedule.plan import SceneFacts
+from clsplat.schedule.steps import scaled_steps
 
 FACTS = SceneFacts((640, 480), 1000, 1.0, photos=None, pixels=10**8)
 

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from clsplat.options import TrainOptions
-from clsplat.schedule import SceneFacts, registry, scaled_steps
+from clsplat.schedule import registry
 from clsplat.schedule.dash import Dash, cumulative_spectrum
+from clsplat.schedule.plan import SceneFacts
+from clsplat.schedule.steps import scaled_steps
 
 OPTIONS = scaled_steps(TrainOptions(iterations=30000, schedule="dash", reset_every=3000))
 SIZE, START = (192, 160), 1000

@@ -4,8 +4,10 @@
 import pytest
 
 from clsplat.options import TrainOptions, resolve
-from clsplat.schedule import SceneFacts, registry, scaled_steps
+from clsplat.schedule import registry
 from clsplat.schedule.mcmc import Mcmc
+from clsplat.schedule.plan import SceneFacts
+from clsplat.schedule.steps import scaled_steps
 
 START = 1000
 FACTS = SceneFacts((640, 480), START, 1.0, photos=None, pixels=10**8)

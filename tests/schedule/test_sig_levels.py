@@ -7,7 +7,6 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.options import resolve
-from clsplat.schedule import worthwhile_steps
 from clsplat.schedule.sig import (
     LEVELS,
     SMALLEST_SIDE,
@@ -16,6 +15,7 @@ from clsplat.schedule.sig import (
     chosen_levels,
     level_shares,
 )
+from clsplat.schedule.steps import worthwhile_steps
 from tests.schedule.driven_sig import FACTS, drive, lengths, options_of, rising, sig
 
 

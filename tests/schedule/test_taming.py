@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from clsplat.options import TrainOptions
-from clsplat.schedule import SceneFacts, registry, scaled_steps
+from clsplat.schedule import registry
 from clsplat.schedule.constant import Constant
+from clsplat.schedule.plan import SceneFacts
+from clsplat.schedule.steps import scaled_steps
 from clsplat.schedule.taming import Taming
 
 START, BUDGET = 1000, 5.0

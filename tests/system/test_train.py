@@ -77,8 +77,6 @@ def evaluated(run):
 @pytest.mark.parametrize("options, expected", [
     ({}, [30]),
     ({"eval_every": 10}, [10, 20, 30]),
-    ({"eval_at": (1, 17, 99)}, [1, 17, 30]),
-    ({"eval_every": 15, "eval_at": (15,)}, [15, 30]),
     ({"test_every": 0, "eval_every": 10}, []),
     ({"stop_at": 12}, []),
 ])

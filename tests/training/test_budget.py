@@ -9,8 +9,9 @@ import pytest
 from clsplat.config.option import MOST_STEPS
 from clsplat.errors import InputError
 from clsplat.options import resolve
-from clsplat.schedule import SceneFacts, scaled_steps, schedule_of
-from clsplat.schedule.plan import Plan
+from clsplat.schedule.plan import Plan, SceneFacts
+from clsplat.schedule.registry import schedule_of
+from clsplat.schedule.steps import scaled_steps
 from clsplat.training.budget import (
     BYTES_PER_SECOND,
     GROWTH_RECOVERY,

@@ -14,8 +14,8 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import write_ply
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
-from clsplat.schedule import planned_steps, scaled_steps
 from clsplat.schedule.sig import AGREEING, ENOUGH, FEWEST
+from clsplat.schedule.steps import planned_steps, scaled_steps
 from clsplat.training import photos
 from clsplat.training.part import Survey
 from clsplat.training.parts import exposures

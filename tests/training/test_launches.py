@@ -7,7 +7,7 @@ import pytest
 
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
-from clsplat.schedule import OURS
+from clsplat.schedule.registry import OURS
 from clsplat.training.loop import Training
 from clsplat.training.step import Step
 from tests.data.tiny_training import CITY, LEVELLED, STILL, options_of

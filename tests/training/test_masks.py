@@ -12,7 +12,7 @@ from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
-from clsplat.schedule import Plan
+from clsplat.schedule.plan import Plan
 from clsplat.training.model import Model
 from clsplat.training.part import TrainingSample
 from clsplat.training.parts.image_term import ImageTerm

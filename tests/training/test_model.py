@@ -9,9 +9,9 @@ from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
 from clsplat.loss.exposure import Exposures
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
-from clsplat.schedule import Plan, SceneFacts
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.growth import Growth
+from clsplat.schedule.plan import Plan, SceneFacts
 from clsplat.training.model import Model
 from clsplat.training.part import TrainingSample
 from clsplat.training.parts import image_term

@@ -15,7 +15,7 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
-from clsplat.schedule import Plan
+from clsplat.schedule.plan import Plan
 from clsplat.training.loop import resume, train
 from clsplat.training.model import Model
 from clsplat.training.part import FrameGradient, Part, TrainingSample, overriding

@@ -35,7 +35,7 @@ from clsplat.device import choose_device
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.io.scenes.read import is_scene
 from clsplat.options import resolve
-from clsplat.schedule import OURS
+from clsplat.schedule.registry import OURS
 from tools.studies.judge_page import Division, Result, is_chosen, write_page
 from tools.studies.study import Scene, flags_after, keep, keeps, outermost, refuse
 

@@ -25,7 +25,7 @@ from clsplat.rendering.project import Rows
 from clsplat.training.part import Decision, Part, State, Survey, requested
 
 if TYPE_CHECKING:
-    from clsplat.schedule import Plan
+    from clsplat.schedule.plan import Plan
     from clsplat.training.photos import Photos
     from clsplat.training.session import Session
     from clsplat.training.start.prepare import PreparedScene

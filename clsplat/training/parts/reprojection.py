@@ -24,7 +24,7 @@ from clsplat.training.part import (
 from clsplat.training.parts.exposures import PhotoResponses
 
 if TYPE_CHECKING:
-    from clsplat.schedule import Plan
+    from clsplat.schedule.plan import Plan
     from clsplat.training.session import Session
     from clsplat.training.start.prepare import PreparedScene
 

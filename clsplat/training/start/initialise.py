@@ -21,7 +21,8 @@ from clsplat.io.models.formats import count_of, read_model
 from clsplat.io.models.values import morton_order
 from clsplat.options import SceneOptions, TrainOptions, seconds_of
 from clsplat.scene import Scene
-from clsplat.schedule import SceneFacts, schedule_of
+from clsplat.schedule.plan import SceneFacts
+from clsplat.schedule.registry import schedule_of
 from clsplat.stereo.dense_points import SIDE, dense_points, sweep_seconds
 from clsplat.training.part import Survey
 from clsplat.training.photos import decoded, with_side

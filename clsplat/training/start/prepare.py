@@ -20,14 +20,10 @@ from clsplat.gaussians import Gaussians, mean_inverse_distance
 from clsplat.io.photos.depth import with_depths
 from clsplat.options import RunOptions, ScheduledOptions, TrainOptions
 from clsplat.scene import LEAST_PARALLAX, Scene, View
-from clsplat.schedule import (
-    SceneFacts,
-    Schedule,
-    scaled_steps,
-    schedule_of,
-    worthwhile_steps,
-)
+from clsplat.schedule.plan import SceneFacts, Schedule
+from clsplat.schedule.registry import schedule_of
 from clsplat.schedule.simulate import largest, simulate
+from clsplat.schedule.steps import scaled_steps, worthwhile_steps
 from clsplat.stereo.dense_points import stereo_views
 from clsplat.training.model import DEVICE_SHARE, model_bytes
 from clsplat.training.part import Decision, Part, Survey, requested
