@@ -49,7 +49,7 @@ class Source:
         if path.is_dir():
             run = Run.open(path)
             model, notes = run.finished_model, Notes(
-                (mode_comment(run.options.antialiased),), run.known_up, run.georeference)
+                (mode_comment(run.options.antialiased),), run.up, run.georeference)
         else:
             run, (model, notes) = None, read_with_notes(path)
         return cls(path, shown(model, path).without_spheres(), notes, run)

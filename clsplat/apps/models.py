@@ -80,4 +80,4 @@ def write_run_model(path: Path, run: Run, gaussians: Gaussians, upright: bool = 
     if upright:
         write_model(path, turned_up(gaussians, run.up, VIEWERS_UP), comments, VIEWERS_UP)
     else:
-        write_model(path, gaussians, comments, run.known_up, run.georeference)
+        write_model(path, gaussians, comments, run.up, run.georeference)

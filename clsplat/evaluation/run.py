@@ -153,14 +153,6 @@ class Run:
         return self.scene().up if known is None else known[0]
 
     @property
-    def known_up(self) -> NDArray[np.float64] | None:
-        """`up`, or None for an older run whose scene is not there any more."""
-        try:
-            return self.up
-        except InputError:
-            return None
-
-    @property
     def first_view(self) -> Camera:
         """The camera, in original coordinates, from which a viewer should first look."""
         known = read_orientation(self.folder.path)

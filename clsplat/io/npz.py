@@ -10,7 +10,7 @@ from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError, reason
-from clsplat.io.unpack import opened_archive
+from clsplat.io.regular import opened_archive
 
 
 def read_npz(path: Path, complaint: str, cure: str,

@@ -91,12 +91,8 @@ def find_photos(folder: Path, masks: Path | None = None
         raise InputError(f"--masks {masks}: no such folder; give one with masks NAME.png")
     beside = [masks] if masks is not None else mask_folders(folder) if root != folder else []
     files = MaskFiles(beside, beside=masks is None)
-    # a folder of photos may be named as one of masks, too
-    hidden = [masks] if masks is not None else [
-        below for below, _ in _folders(root)
-        if below.name.lower() in FOLDERS and below != root and _are_masks(below)]
     photos, refused, unread, stems = [], {}, [], set()
-    for path in sorted(_files(root, hidden), key=lambda path: path.relative_to(root).as_posix()):
+    for path in sorted(_files(root, masks), key=lambda path: path.relative_to(root).as_posix()):
         relative = path.relative_to(root)
         if path.suffix.lower() in UNREAD:
             unread.append(relative)
@@ -145,27 +141,16 @@ def _is_photo(path: Path) -> bool:
     return path.suffix.lower() in PHOTO_SUFFIXES and not path.name.startswith(".")
 
 
-def _files(root: Path, masks: Iterable[Path] = ()) -> Iterator[Path]:
-    """The files below a folder, except hidden ones, those in folders of masks, and those of scenes
+def _files(root: Path, masks: Path | None = None) -> Iterator[Path]:
+    """The files below a folder, except those in hidden folders, in folders of masks, and in scenes
     and runs, which may have been written beside the photos."""
-    hidden = {os.path.realpath(folder) for folder in masks}
-    for folder, files in _folders(root):
-        if hidden.isdisjoint(map(os.path.realpath, (folder, *folder.parents))):
-            yield from files
-
-
-def _folders(root: Path) -> Iterator[tuple[Path, list[Path]]]:
     for folder, names, files in os.walk(root):
-        names[:] = [name for name in names if not name.startswith(".")
-                    and not any((Path(folder) / name / mark).exists() for mark in WRITTEN)]
-        yield Path(folder), [Path(folder) / name for name in files]
-
-
-def _are_masks(folder: Path) -> bool:
-    """Whether a folder has a mask for one of the photos beside it."""
-    files = MaskFiles([folder], beside=False)
-    return any(files.of(path.relative_to(folder.parent).as_posix())
-               for path in _files(folder.parent, [folder]) if _is_photo(path))
+        below = [Path(folder) / name for name in names]
+        names[:] = [path.name for path in below
+                    if path.name[0] != "." and path.name.lower() not in FOLDERS
+                    and not (masks and path.samefile(masks))
+                    and not any((path / mark).exists() for mark in WRITTEN)]
+        yield from (Path(folder) / name for name in files)
 
 
 def cameras_of(photos: list[SourcePhoto], model: str = "") -> list[SourceCamera]:

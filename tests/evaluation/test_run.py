@@ -120,13 +120,6 @@ def test_scores_from_aligned_poses_stand_beside_the_others(run, item_device):
     assert "aligned" not in summary(evaluate_run(run, item_device, save_images=False))
 
 
-def test_a_run_with_an_option_that_was_removed_is_refused(run):
-    record = run.record
-    run.folder.write_options({**record, "tone": "on"})
-    with pytest.raises(InputError, match="options.json: tone on was removed; train"):
-        _ = run.options
-
-
 def test_another_scene_is_refused(run, tmp_path):
     shutil.copytree(CITY, tmp_path / "other")
     points = tmp_path / "other/sparse/0/points3D.bin"

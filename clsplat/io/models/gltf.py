@@ -39,8 +39,7 @@ from clsplat.io.models.values import (
     unit,
 )
 from clsplat.io.records import object_of
-from clsplat.io.regular import read_regular
-from clsplat.io.unpack import check_expansion
+from clsplat.io.regular import check_expansion, read_regular
 
 EXTENSION = "KHR_gaussian_splatting"
 COMPRESSION = "KHR_gaussian_splatting_compression_spz_2"

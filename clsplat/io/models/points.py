@@ -23,8 +23,7 @@ from clsplat.io.atomic import replacing
 from clsplat.io.fields import LARGEST_COORDINATE, reading
 from clsplat.io.georeference.crs import is_on_map, pyproj_crs
 from clsplat.io.models.values import Notes, colours_of, opacities, usable
-from clsplat.io.regular import open_regular
-from clsplat.io.unpack import check_expansion
+from clsplat.io.regular import check_expansion, open_regular
 
 GREY = 128
 FAR = 1e4  # units from the origin, from which a cloud gets local coordinates of its own

@@ -37,7 +37,7 @@ from clsplat.io.models.values import (
 from clsplat.io.photos.images import encode_image
 from clsplat.io.photos.photo import opened
 from clsplat.io.records import object_of
-from clsplat.io.unpack import check_expansion, check_rows, opened_archive
+from clsplat.io.regular import check_expansion, check_rows, opened_archive
 
 META, ORIGIN, KIND = "meta.json", "clsplat_origin", "a SOG file of version 2"
 MEANS, SCALES, QUATERNIONS, COLOURS, HARMONICS = "means", "scales", "quats", "sh0", "shN"

@@ -37,8 +37,7 @@ from clsplat.io.models.values import (
     stored_positions,
     stored_rows,
 )
-from clsplat.io.regular import read_regular
-from clsplat.io.unpack import check_expansion, check_rows
+from clsplat.io.regular import check_expansion, check_rows, read_regular
 
 HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, SH degree, fractional bits, flags
 HEADER_4 = struct.Struct("<16sI12x")  # of version 4: HEADER, where the table begins
