@@ -16,13 +16,11 @@ from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.edit.select import selected
 from clsplat.errors import InputError
-from clsplat.evaluation.run import Run, has_tree, open_tree
+from clsplat.evaluation.run import Run, open_shown
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
-from clsplat.io.models.tree import Tree
 from clsplat.io.photos.images import eight_bits, write_image
-from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.rendering.tree import HOST_BYTES
 from clsplat.scene import Scene
 
@@ -56,19 +54,12 @@ def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device,
     host_bytes : for a tree; see `TreeRenderer`.
     everything : whether gaussians that are not `supported` are drawn, as a tree's always are.
     """
-    options = run.options
-    near = scene.near(options.near) * scene.unit
-    renderer: ModelRenderer
-    rows: Any
-    model: Tree | Gaussians
-    if has_tree(run):
-        renderer, rows = open_tree(run, device, near, host_bytes)
-        model = rows
-    else:
+    def supported_model() -> Gaussians:
         model = run.finished_model
-        if not everything:
-            model = selected(model, supported(model, in_original(scene)))
-        renderer, rows = open_model(device, model, near, options.antialiased, options.background)
+        return model if everything else selected(model, supported(model, in_original(scene)))
+
+    near = scene.near(run.options.near) * scene.unit
+    renderer, rows, model = open_shown(run, device, near, host_bytes, supported_model)
     for camera in cameras:
         packed = renderer.pack(camera.shifted(model.offset))
         frame = renderer.render(rows, packed, camera.width, camera.height, model.sh_degree)

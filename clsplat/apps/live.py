@@ -11,10 +11,8 @@ from typing import Any, NoReturn
 from clsplat.apps.models import photos_of
 from clsplat.apps.server import FrameRequests, ViewServer
 from clsplat.device import Device
-from clsplat.evaluation.run import Run, has_tree, open_tree, shown
-from clsplat.gaussians import Gaussians
+from clsplat.evaluation.run import Run, open_shown
 from clsplat.io.models.tree import Tree
-from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.rendering.tree import HOST_BYTES
 from clsplat.report.model_page import filled, near_of, view_record
 from clsplat.report.page import full_name, script_json
@@ -48,17 +46,10 @@ def show_run(run: Run, device: Device, opened: Callable[[str], object], port: in
     ------
     InputError : there is no model, or the port cannot be opened.
     """
-    renderer: ModelRenderer
-    rows: Any
-    model: Tree | Gaussians
-    if has_tree(run):
-        renderer, rows = open_tree(run, device, near_of(run), host_bytes)
-        model, positions = rows, rows.read(len(rows.nodes) - 1, "positions")  # of the root
-    else:
-        model, options = shown(latest_model(run.folder), run.path), run.options
-        positions = model.positions
-        renderer, rows = open_model(device, model, near_of(run), options.antialiased,
-                                    options.background)
+    renderer, rows, model = open_shown(run, device, near_of(run), host_bytes,
+                                       partial(latest_model, run.folder))
+    positions = (model.read(len(model.nodes) - 1, "positions")  # of the root
+                 if isinstance(model, Tree) else model.positions)
     view = run.first_view.shifted(model.offset - run.first_view.offset)
     page = live_page(full_name(run.path, run.record),
                      view_record(view, run.up, positions, photos_of(run)))

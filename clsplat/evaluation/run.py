@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ from clsplat.io.photos.undistort import undistorted
 from clsplat.io.runs.run import RunFolder, read_poses
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, recorded
-from clsplat.rendering.slabs import ModelRenderer
+from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.rendering.tree import TreeRenderer
 from clsplat.scene import Scene
 
@@ -230,3 +231,15 @@ def open_tree(run: Run, device: Device, near: float, host_bytes: float
     tree, options = Tree(run.path / TREE), run.options
     return TreeRenderer(device, tree, near, options.antialiased, options.background,
                         host_bytes=host_bytes), tree
+
+
+def open_shown(run: Run, device: Device, near: float, host_bytes: float,
+               model: Callable[[], Gaussians]) -> tuple[ModelRenderer, Any, Tree | Gaussians]:
+    """What draws a run in original coordinates: the renderer, its rows, and the tree, or without
+    one the gaussians that `model` returns; other arguments as for `open_tree`."""
+    if has_tree(run):
+        renderer, tree = open_tree(run, device, near, host_bytes)
+        return renderer, tree, tree
+    gaussians, options = shown(model(), run.path), run.options
+    return (*open_model(device, gaussians, near, options.antialiased, options.background),
+            gaussians)

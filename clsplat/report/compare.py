@@ -12,15 +12,23 @@ from clsplat.io.runs.origin import origin
 from clsplat.report.charts import comparison_chart, drawn
 from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, title, warnings
 from clsplat.report.page import Table, as_utf8, folded, page, warning
-from clsplat.report.scores import Curve, Record, curve, reached, spread, value_at
+from clsplat.report.scores import (
+    COLUMNS,
+    GAUSSIANS,
+    PERCEPTUAL,
+    Curve,
+    Record,
+    curve,
+    reached,
+    spread,
+    value_at,
+)
 
-SCORES = {"psnr_cc": ("PSNR cc, dB", 2), "ssim_cc": ("SSIM cc", 4), "flip_cc": ("FLIP cc", 4),
-          "lpips_cc": ("LPIPS cc", 4), "psnr": ("PSNR, dB", 2), "ssim": ("SSIM", 4),
-          "flip": ("FLIP", 4), "lpips": ("LPIPS", 4)}  # key -> (title, digits)
-ALWAYS = ("psnr_cc", "psnr", "ssim_cc", "ssim")  # the others only if a run has them
-SPREAD = ("psnr_cc", "ssim_cc", "flip_cc", "lpips_cc")  # whose deviation the table shows
-COSTS = ("pixel_pairs", "kernel_bytes")
-MEASURED = (*SCORES, "gaussians", "train_seconds", *COSTS, "psnr_cc_at_equal_seconds")
+# of each run: key, title, format
+SCORES = (*COLUMNS[2:], *PERCEPTUAL)
+COSTS = (COLUMNS[1], GAUSSIANS, ("pixel_pairs", "pairs", ".3g"), ("kernel_bytes", "bytes", ".3g"))
+SPREAD = ("train_seconds", "psnr_cc", "ssim_cc", "flip_cc", "lpips_cc")  # shown with deviation
+EQUAL = "psnr_cc_at_equal_seconds"
 NO_CURVE = ("No curve: no run has more than one evaluation. Train with --eval-every STEPS, an "
             "eighth of -n or less, to see the error over time.")
 LEVEL_STEP = 0.5  # dB: levels chosen from the data are multiples of it
@@ -30,6 +38,10 @@ FINAL_NOTES = (
     "The cost of training does not depend on the machine. Pairs: of gaussian and pixel, with all "
     "pixels of the tiles that a gaussian touches; bytes: of the arrays given to kernels, in every "
     "launch.")
+TIME_NOTES = (
+    "Seconds of training until the colour-corrected PSNR was reached, and the PSNR when the "
+    "shortest run ended; linear between evaluations. Where only some runs of a group have a value, "
+    "it is how many; ≤: a run had reached it at its first evaluation.",)
 
 
 def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = None,
@@ -95,7 +107,8 @@ def compare(groups: Mapping[str, Sequence[Trained]], levels: Sequence[float] = (
     compared = []
     for name, group in groups.items():
         rows = [_numbers(run, levels, shortest) for run in group]
-        means = {key: spread([row[key] for row in rows]) for key in MEASURED}
+        means = {key: spread([row[key] for row in rows])
+                 for key in (*(key for key, _, _ in (*COSTS, *SCORES)), EQUAL)}
         compared.append({
             "name": name, "options": {key: group[0].options.get(key) for key in different},
             "mean": {key: mean for key, (mean, _) in means.items()},
@@ -119,9 +132,9 @@ def _numbers(run: Trained, levels: Sequence[float], shortest: float | None) -> d
     line = _psnr(run)
     crossings = [reached(line, level) or (None, False) for level in levels]
     return {"folder": run.name, "seed": run.options.get("seed"), "finished": run.finished,
-            **{key: _last(run.records, key, "eval" if key in SCORES else None)
-               for key in MEASURED},
-            "psnr_cc_at_equal_seconds": None if shortest is None else value_at(line, shortest),
+            **{key: _last(run.records, key, None) for key, _, _ in COSTS},
+            **{key: _last(run.records, key, "eval") for key, _, _ in SCORES},
+            EQUAL: None if shortest is None else value_at(line, shortest),
             "best_psnr_cc": float(max(line[1])) if len(line[1]) else None,
             "reached": [{"psnr_cc": level, "seconds": seconds, "upper_bound": bound}
                         for level, (seconds, bound) in zip(levels, crossings)]}
@@ -146,61 +159,36 @@ def levels_from(groups: Iterable[Sequence[Curve]]) -> list[float]:
 
 
 def final_table(result: Mapping[str, Any]) -> Table:
-    """The end of the runs, a row for each group."""
+    """The end of the runs, a row for each group, with what any of them has."""
     groups = result["groups"]
-    scores = [key for key in SCORES if key in ALWAYS or any(
-        group["mean"][key] is not None for group in groups)]
+    shown = [column for column in (*COSTS, *SCORES)
+             if any(group["mean"][column[0]] is not None for group in groups)]
     rows = []
     for group in groups:
-        mean, deviation = group["mean"], group["deviation"]
-        rows.append((
-            group["name"], str(len(group["runs"])),
-            ", ".join(str(run["seed"]) for run in group["runs"]),
-            _with_spread(mean["train_seconds"], deviation["train_seconds"], 1),
-            "-" if mean["gaussians"] is None else f"{mean['gaussians']:,.0f}",
-            *("-" if mean[key] is None else f"{mean[key]:.3g}" for key in COSTS),
-            *(_with_spread(mean[key], deviation[key] if key in SPREAD else None, SCORES[key][1])
-              for key in scores)))
-    return Table("At the end", ("group", "runs", "seeds", "training, s", "gaussians", "pairs",
-                                "bytes", *(SCORES[key][0] for key in scores)),
-                 rows, range(3, 7 + len(scores)), FINAL_NOTES)
+        mean, deviation = group["mean"], {key: group["deviation"][key] for key in SPREAD}
+        rows.append((group["name"], str(len(group["runs"])),
+                     ", ".join(str(run["seed"]) for run in group["runs"]),
+                     *(_with_spread(mean[key], deviation.get(key), form)
+                       for key, _, form in shown)))
+    return Table("At the end", ("group", "runs", "seeds", *(title for _, title, _ in shown)),
+                 rows, range(3, 3 + len(shown)), FINAL_NOTES)
 
 
 def time_table(result: Mapping[str, Any]) -> Table:
     """Training time at given PSNR, and PSNR at equal training time, a row for each group."""
-    levels, rows, notes = result["levels"], [], []
-    key = "psnr_cc_at_equal_seconds"
+    rows = []
     for group in result["groups"]:
-        name, runs, cells = group["name"], group["runs"], []
-        for number, level in enumerate(levels):
-            crossings = [run["reached"][number] for run in runs]
-            short = [run["best_psnr_cc"] for run, crossing in zip(runs, crossings)
-                     if crossing["seconds"] is None]
-            if short:
-                best = max((value for value in short if value is not None), default=None)
-                why = "no evaluation" if best is None else f"best {best:.2f}"
-                notes.append(f"- {name}, {level:g} dB: not reached by {len(short)} of {len(runs)} "
-                             f"runs ({why}).")
-                cells.append("-")
-            else:
-                bound = "≤ " if any(crossing["upper_bound"] for crossing in crossings) else ""
-                times = spread(each["seconds"] for each in crossings)
-                cells.append(bound + _with_spread(*times, 1))
-        cells.append(_with_spread(group["mean"][key], group["deviation"][key], 2))
-        lacking = sum(run[key] is None for run in runs)
-        if lacking:
-            notes.append(f"- {name}, equal time: {lacking} of {len(runs)} runs had no evaluation "
-                         "by then.")
-        rows.append((name, *cells))
-    if any(cell.startswith("≤") for row in rows for cell in row):
-        notes.append("≤: a run had reached it at its first evaluation.")
-    equal = result["equal_seconds"]
-    last = "at equal time" if equal is None else f"PSNR cc at {equal:,.1f} s, dB"
+        runs, cells = group["runs"], []
+        for crossings in zip(*(run["reached"] for run in runs)):  # of one level
+            bound = "≤ " if any(each["upper_bound"] for each in crossings) else ""
+            cells.append(_of_all([each["seconds"] for each in crossings], ",.1f", bound))
+        equal = _of_all([run[EQUAL] for run in runs], ".2f")
+        rows.append((group["name"], *cells, equal))
+    seconds, levels = result["equal_seconds"], result["levels"]
+    last = "at equal time" if seconds is None else f"PSNR cc at {seconds:,.1f} s, dB"
     return Table("Against training time",
                  ("group", *(f"to {level:g} dB, s" for level in levels), last), rows,
-                 range(1, len(levels) + 2),
-                 ("Seconds of training until the colour-corrected PSNR was reached, and the PSNR "
-                  "when the shortest run ended; linear between evaluations.", *notes))
+                 range(1, len(levels) + 2), TIME_NOTES)
 
 
 def equality_tables(groups: Mapping[str, Sequence[Trained]]) -> tuple[Table, Table]:
@@ -215,7 +203,14 @@ def equality_tables(groups: Mapping[str, Sequence[Trained]]) -> tuple[Table, Tab
               [(title(key), runs[0].text(key)) for key in equal(runs)]))
 
 
-def _with_spread(mean: float | None, deviation: float | None, digits: int) -> str:
+def _of_all(values: Sequence[float | None], form: str, bound: str = "") -> str:
+    """The mean and deviation if all runs of a group have a value, else how many have."""
+    count = sum(value is not None for value in values)
+    return (bound + _with_spread(*spread(values), form) if count == len(values)
+            else f"{count} of {len(values)} runs")
+
+
+def _with_spread(mean: float | None, deviation: float | None, form: str) -> str:
     if mean is None:
         return "-"
-    return f"{mean:,.{digits}f}" + ("" if deviation is None else f" ± {deviation:.{digits}f}")
+    return f"{mean:{form}}" + ("" if deviation is None else f" ± {deviation:{form}}")

@@ -141,20 +141,10 @@ def warnings(groups: Mapping[str, Sequence[Trained]]) -> list[str]:
             texts = sorted({run.text(key) for run in runs})
             if len({run.plain(key) for run in runs}) > 1:
                 sentences.append(f"{meaning} ({title(key)}: {' / '.join(texts)}).")
-    views = sorted({record["views"] for run in runs for record in run.records
-                    if record.get("event") == "eval" and record.get("views") is not None})
-    if len(views) > 1:
-        sentences.append("The runs have different numbers of held-out views, so scores cannot be "
-                         f"compared ({' / '.join(map(str, views))}).")
     if any(str(run.options.get("commit")).endswith("-dirty") for run in runs):
         sentences.append("clsplat's code had changes that were not committed: runs of the same "
                          "commit may still differ in code.")
-    unfinished = []
-    for run in runs:
-        if not run.finished:
-            last = max((record.get("iteration") or 0 for record in run.records), default=0)
-            unfinished.append(f"{run.name} (step {last:,})")
-    if unfinished:
+    if unfinished := [run.name for run in runs if not run.finished]:
         sentences.append(f"Not finished yet: {', '.join(unfinished)}.")
     seeds = {name: [run.options.get("seed") for run in group] for name, group in groups.items()}
     if len({tuple(of_group) for of_group in seeds.values()}) > 1:

@@ -27,7 +27,7 @@ RECORDED = (("points", "points of the sparse model", ",.0f"),
 RAMP = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
 GREY, NO_RESIDUAL, CROSS = (150, 155, 160), "#0072b2", "#d55e00"
 CELLS = 400  # of the longer side of the picture of the points
-WIDTH, LEFT, BOTTOM, TOP = 460, 52, 34, 6  # units of a map and of its margins
+WIDTH = 460  # pixels, about, of the longer side of a map: decides how large its dots are
 
 
 def survey_html(scene: Scene | None) -> str:
@@ -126,29 +126,14 @@ def survey_maps(survey: Survey) -> str:
 
 def _map(title: str, low: NDArray[np.float64], high: NDArray[np.float64], content: str,
          survey: Survey) -> str:
-    """An SVG of the area between two corners, with scales; `content` is in map units from `low`,
+    """An SVG of the area between two corners, with its size; `content` is in map units from `low`,
     with y to the north."""
     width, height = high - low
-    scale = WIDTH / max(width, height)  # units of the SVG
-    width, height = width * scale, height * scale
-    unit = "m" if survey.georeference else "units of the scene"
-    step = 10.0 ** np.floor(np.log10((high - low).max() / 4))
-    step *= max(factor for factor in (1, 2, 5) if factor * step <= (high - low).max() / 3)
-    scales = []
-    for axis in (0, 1):
-        for value in np.arange(np.ceil(low[axis] / step), high[axis] / step) * step:
-            at = (value - low[axis]) * scale
-            scales.append(f'<text x="{LEFT + at:.1f}" y="{TOP + height + 14:.1f}" '
-                          f'text-anchor="middle">{value:.6g}</text>' if axis == 0 else
-                          f'<text x="{LEFT - 6}" y="{TOP + height - at + 4:.1f}" '
-                          f'text-anchor="end">{value:.6g}</text>')
-    return (f"<h4>{title}</h4>\n"
-            f'<svg viewBox="0 0 {LEFT + width + 8:.1f} {TOP + height + BOTTOM:.1f}">'
-            f'<g fill="currentColor">{"".join(scales)}<text x="{LEFT + width / 2:.1f}" '
-            f'y="{TOP + height + 29:.1f}" text-anchor="middle">east, {unit}; upwards: north</text>'
-            f'</g><rect x="{LEFT}" y="{TOP}" width="{width:.1f}" height="{height:.1f}" fill="none" '
-            f'stroke="currentColor" stroke-opacity="0.4"/><g transform="translate({LEFT} '
-            f'{TOP + height:.1f}) scale({scale:.6g} {-scale:.6g})">{content}</g></svg>\n')
+    size = (f"{length(width)} x {length(height)}" if survey.georeference
+            else f"{width:.3g} x {height:.3g} units of the scene")
+    return (f"<h4>{title}</h4>\n<p class=note>{size}, north is upwards</p>\n"
+            f'<svg viewBox="0 0 {width:.6g} {height:.6g}">'
+            f'<g transform="translate(0 {height:.6g}) scale(1 -1)">{content}</g></svg>\n')
 
 
 def _points(survey: Survey, low: NDArray[np.float64], high: NDArray[np.float64]) -> str:
