@@ -10,6 +10,7 @@ import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,18 +46,11 @@ DEPTHS = (0.5, 8.0)  # of sampled points, in distances to the farthest of those 
 LEAST_ANGLE = np.radians(1.0)  # between two views of a sampled point
 
 
-@dataclass(frozen=True, eq=False)
-class Cloud:
-    """The sparse points of a data set or a project.
-
-    Attributes
-    ----------
-    positions : float64[N, 3], world.
-    colours : uint8[N, 3]; None: unknown, drawn in grey.
-    """
+class Cloud(NamedTuple):
+    """The sparse points of a data set or a project: float64[N, 3], world, and uint8[N, 3]."""
 
     positions: NDArray[np.float64]
-    colours: NDArray[np.uint8] | None = None
+    colours: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -133,7 +127,7 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
         "centres": np.array([each.centre for each in optics]),
         "sizes": np.array([each.size for each in optics])}
     if cloud is not None:
-        arrays |= {"points": cloud.positions, "colours": _colours(cloud)}
+        arrays |= {"points": cloud.positions, "colours": cloud.colours}
     arrays = undistorted_model(path, arrays, [each.model for each in optics])
     by_name = {photo.name: photo for photo in photos}
     used = [by_name[name] for name in arrays["files"]]
@@ -145,18 +139,13 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
         held_out=frozenset(name for name, photo in by_view.items() if photo.held_out) or None,
         views=tuple(replace(view, mask=by_view[view.name].mask) for view in scene.views)), smaller)
     if cloud is None:
-        cloud = Cloud(sample_points(path, scene.views))
-        scene = replace(scene, points=cloud.positions, colours=_colours(cloud))
+        points = sample_points(path, scene.views)
+        scene = replace(scene, points=points, colours=np.full(points.shape, GREY, np.uint8))
         logging.getLogger(__name__).warning(
             "%s: no sparse points: %d are sampled at random where at least two cameras see; a "
             "model trained from points3D.ply beside it, a COLMAP model or --init FILE (a point "
             "cloud) is better", path, len(scene.points))
     return scene.recentred()
-
-
-def _colours(cloud: Cloud) -> NDArray[np.uint8]:
-    return (np.full((len(cloud.positions), 3), GREY, np.uint8) if cloud.colours is None
-            else cloud.colours)
 
 
 def exact_poses(rotations: NDArray[np.float64], positions: NDArray[np.float64]
@@ -205,7 +194,7 @@ def _ply_cloud(path: Path) -> Cloud:
         raise InputError(f"{path}: its vertices have no x, y, z; give a PLY of points")
     points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
     if any(name not in kinds or rows.dtype[name] != np.uint8 for name in COLOURS):
-        return Cloud(points)
+        return Cloud(points, np.full(points.shape, GREY, np.uint8))
     return Cloud(points, np.stack([rows[name] for name in COLOURS], axis=1))
 
 

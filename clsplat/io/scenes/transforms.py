@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError, reason
+from clsplat.errors import reason
 from clsplat.io.fields import number, pixels, reading, text
 from clsplat.io.photos.images import image_size
 from clsplat.io.photos.lenses import PANORAMA
@@ -58,30 +58,27 @@ def read_transforms(path: Path, images: str = "") -> Scene:
     The name of a view is the `file_path` of its photo, relative to the folder, without "..". The
     points are those of `ply_file_path` or of `posed.read_cloud`; without them they are sampled.
     """
-    table, test = _table(path), path.with_name(TEST)
-    photos = _posed_photos(path, table, False)
+    test = path.with_name(TEST)
+    with reading(path, "a transforms.json"):
+        table, photos = _posed_photos(path, False)
+        cloud = _cloud(path.parent, table)
     if path.name == TRAIN and test.exists():
-        photos += _posed_photos(test, _table(test), True)
-    return posed_scene(path, path.parent, photos, _cloud(path, table))
+        with reading(test, "a transforms.json"):
+            photos += _posed_photos(test, True)[1]
+    return posed_scene(path, path.parent, photos, cloud)
 
 
-def _table(path: Path) -> dict[str, Any]:
-    with reading(path, "a transforms.json", "export or copy it again"):
-        record = object_of(read_regular(path))
-        if not isinstance(record.get("frames"), list) or not record["frames"]:
-            raise ValueError("it has no frames")
-        return record
-
-
-def _posed_photos(path: Path, table: Mapping[str, Any], held_out: bool) -> list[PosedPhoto]:
-    photos = []
+def _posed_photos(path: Path, held_out: bool) -> tuple[dict[str, Any], list[PosedPhoto]]:
+    """The table of a file, and the photos of its frames."""
+    table, photos = object_of(read_regular(path)), []
+    if not isinstance(table.get("frames"), list) or not table["frames"]:
+        raise ValueError("it has no frames")
     for index, frame in enumerate(table["frames"]):
         try:
             photos.append(_posed_photo(path.parent, _own(table, frame), held_out))
         except (ValueError, TypeError, OverflowError, OSError) as error:
-            raise InputError(f"{path}: frame {index} is damaged ({reason(error)}); "
-                             "export it again") from None
-    return photos
+            raise ValueError(f"frame {index}: {reason(error)}") from None
+    return table, photos
 
 
 def _own(table: Mapping[str, Any], frame: Mapping[str, Any]) -> dict[str, Any]:
@@ -175,14 +172,11 @@ def _number(frame: Mapping[str, Any], key: str, default: float | None = None) ->
     return number(frame.get(key, default), key)
 
 
-def _cloud(path: Path, table: Mapping[str, Any]) -> Cloud | None:
+def _cloud(folder: Path, table: Mapping[str, Any]) -> Cloud | None:
     """The points and colours of `read_cloud`, in the coordinates of the poses."""
     file_path = table.get("ply_file_path")
-    try:
-        ply = None if file_path is None else path.parent / text(file_path, "ply_file_path")
-        # nerfstudio applies this to COLMAP's world before it writes poses and PLY
-        transform = (_matrix(table, "applied_transform") if "applied_transform" in table
-                     else np.eye(3, 4)) * _number(table, "applied_scale", 1)
-    except (ValueError, TypeError, OverflowError) as error:
-        raise InputError(f"{path}: damaged ({reason(error)}); export it again") from None
-    return read_cloud(path.parent, ply, transform)
+    ply = None if file_path is None else folder / text(file_path, "ply_file_path")
+    # nerfstudio applies this to COLMAP's world before it writes poses and PLY
+    transform = (_matrix(table, "applied_transform") if "applied_transform" in table
+                 else np.eye(3, 4)) * _number(table, "applied_scale", 1)
+    return read_cloud(folder, ply, transform)

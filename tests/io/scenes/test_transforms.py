@@ -208,9 +208,9 @@ def posed(change):
     ({"fl_x": 10**400}, "10000000000000000000 is not a finite number"),
     (first(file_path="images/lost.jpg"), "lost.jpg: no such image"),
     (first(file_path="images/004.jpg"), "004.jpg occurs twice"),
-    (first(transform_matrix=[["a"] * 4] * 4), "frame 0 is damaged"),
+    (first(transform_matrix=[["a"] * 4] * 4), "frame 0: "),
     (posed(lambda m: m * (1.2, 1.2, 1.2, 1)), "000.jpg is not a rotation"),
-    (posed(np.transpose), "frame 0 is damaged .*is it transposed"),
+    (posed(np.transpose), "frame 0: .*is it transposed"),
     (posed(lambda m: 2 * m), "not 0 0 0 1"), (posed(lambda m: m[:2]), "3x4 or 4x4"),
 ])
 def test_unusable_scenes(tmp_path, city, change, words):
@@ -228,7 +228,7 @@ def refused(folder, words):
 @pytest.mark.parametrize("text, words", [
     ("{", "transforms.json: not a transforms.json, damaged or"),
     ('{"frames": [1, NaN]}', "NaN is not a finite number"),
-    ('{"frames": [3]}', "frame 0 is damaged"),
+    ('{"frames": [3]}', "frame 0: "),
 ])
 def test_damaged_files(tmp_path, text, words):
     (tmp_path / "transforms.json").write_text(text)

@@ -151,11 +151,11 @@ def project_scene(path: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
         photos = [replace(photo, rotation=photo.rotation @ similarity.rotation.T,
                           position=similarity(photo.position)) for photo in photos]
         if points is not None:
-            points = replace(points, positions=similarity(points.positions))
+            points = points._replace(positions=similarity(points.positions))
     if points is None:
         points = read_cloud(files.project, None, np.eye(3, 4))
         if points is not None and georeference is not None:
-            points = replace(points, positions=georeference.from_map(points.positions))
+            points = points._replace(positions=georeference.from_map(points.positions))
     return posed_scene(path, files.project, photos, points, georeference=georeference,
                        z_is_up=z_is_up, notes=notes,
                        smaller=files.folder if files.folder.name != IMAGES else None)
