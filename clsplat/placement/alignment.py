@@ -279,17 +279,12 @@ class _Problem:
 def _fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similarity | None:
     """The similarity with the least squared distances between points [N, 3] (Umeyama 1991); None if
     they determine none."""
-    from_middle, to_middle = source.mean(axis=0), target.mean(axis=0)
-    centred = source - from_middle
-    spread = float((centred**2).sum())
-    left, values, right = np.linalg.svd((target - to_middle).T @ centred)
-    if not values[1] > 1e-9 * values[0] or not spread > 0:
+    places, positions = source - source.mean(axis=0), target - target.mean(axis=0)
+    if np.linalg.matrix_rank(positions.T @ places) < 2:
         return None
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
-    rotation = (left * signs) @ right
-    scale = float((values * signs).sum()) / spread
-    return Similarity(scale, rotation, to_middle - scale * rotation @ from_middle
-                      ) if scale > 0 else None
+    rotation = Rotation.align_vectors(positions, places)[0].as_matrix()
+    scale = float((positions * (places @ rotation.T)).sum() / (places**2).sum())
+    return Similarity(scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0))
 
 
 def _samples(rng: np.random.Generator, count: int, size: int) -> NDArray[np.intp]:

@@ -20,7 +20,6 @@ UTM_EPSG = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
 UTM_WORDS = re.compile(r"(?:WGS ?84)?[ /]*UTM (?:zone )?(0?[1-9]|[1-5]\d|60) ?([C-HJ-NP-X])",
                        re.IGNORECASE)  # N and S are hemispheres, all other letters bands
 MARGIN = 5.0  # degrees around the area of use of a CRS, in which maps still use it
-LOCAL = ("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")  # how the WKT of local coordinates begins
 WEB_MERCATOR = "1024"  # EPSG's code of its projection
 SHOWN = 60  # characters of a CRS in a message
 LONGEST_DEFINITION = 20_000  # characters of a CRS
@@ -82,11 +81,6 @@ def project_crs(definition: str) -> str:
 def _name(system: Any) -> str:
     code = system.to_authority(min_confidence=70)
     return ":".join(code) if code else " ".join(system.to_wkt().split())
-
-
-def is_local(definition: str) -> bool:
-    """Whether the WKT of a project's CRS gives its coordinates no place on the earth."""
-    return definition.lstrip().upper().startswith(LOCAL)
 
 
 def utm_zone(longitude: float, latitude: float) -> str:

@@ -100,9 +100,8 @@ def write_orientation(folder: str | Path, up: ArrayLike, first_view: Camera | No
     if first_view is not None:
         camera = first_view.shifted(-first_view.offset)
         record["first_view"] = {
-            "width": camera.width, "height": camera.height, "focal": list(camera.focal),
-            "centre": list(camera.centre), "rotation": camera.rotation.tolist(),
-            "translation": camera.translation.tolist()}
+            name: np.asarray(getattr(camera, name)).tolist()
+            for name in ("width", "height", "focal", "centre", "rotation", "translation")}
     write_object(Path(folder) / ORIENTATION, record, indent=2)
 
 

@@ -22,12 +22,7 @@ from clsplat.io.georeference.adjustment import (
 from clsplat.io.georeference.control_points import ControlPoints
 from clsplat.io.georeference.crs import UTM_EPSG, heights_of, horizontal, map_positions, outside
 from clsplat.io.photos.metadata import PhotoMetadata
-from clsplat.placement.alignment import (
-    INDEPENDENT_HEIGHTS,
-    LEAST_POSITIONS,
-    Alignment,
-    Similarity,
-)
+from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, LEAST_POSITIONS, Alignment
 from clsplat.placement.plausible import Guess, Implausible, believed, doubts
 from clsplat.placement.up import UP, Vertical, gimbal_up
 
@@ -95,8 +90,8 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     centres = np.array([image.projection_center() for image in images])
     ground = np.median(result.similarity(points if len(points) else centres), axis=0)
     offset = np.round(ground)
-    _transform(reconstruction, Similarity(
-        result.similarity.scale, result.similarity.rotation,
+    reconstruction.transform(pycolmap.Sim3d(
+        result.similarity.scale, pycolmap.Rotation3d(result.similarity.rotation),
         result.similarity.translation - offset))
     if control.points:
         used = (adjust(reconstruction, used, offset, keep_focal) if adjusts else
@@ -140,14 +135,9 @@ def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, Photo
     target = np.array([0.0, -1.0, 0.0])
     up = _vertical(*_content(reconstruction), metadata, None).up
     rotation = Rotation.align_vectors(target, up)[0].as_matrix()
-    _transform(reconstruction, Similarity(1.0, rotation, np.zeros(3)))
+    reconstruction.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
     notes = (f"not georeferenced: {why}",)
     return Placed(None, target, notes, () if why.expected else notes)
-
-
-def _transform(reconstruction: pycolmap.Reconstruction, similarity: Similarity) -> None:
-    reconstruction.transform(pycolmap.Sim3d(
-        similarity.scale, pycolmap.Rotation3d(similarity.rotation), similarity.translation))
 
 
 def _content(reconstruction: pycolmap.Reconstruction) -> tuple[list[Any], NDArray[np.float64]]:
@@ -227,9 +217,7 @@ def _by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: s
     void = sum(photo.void for photo in known)
     if void:
         notes.append(f"the receiver marked the positions of {void} photos as void; they are used")
-    std = None
-    if any(photo.gps_std is not None for photo in known):
-        std = np.array([photo.gps_std or 3 * (UNKNOWN_STD,) for photo in known])
+    std = np.array([photo.gps_std or 3 * (UNKNOWN_STD,) for photo in known])
     guesses = [Guess(question, map_positions(other, heights)[0]) for question, other in (
         ("are latitude and longitude exchanged?", degrees[:, ::-1]),
         (SIGN, degrees * (1, -1)), (SIGN, degrees * (-1, 1)))]

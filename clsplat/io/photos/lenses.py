@@ -207,10 +207,9 @@ def pixel_map(lens: Lens) -> NDArray[np.float32]:
 def rays_of(lens: Lens, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """float64[N, 3]: the points at depth 1 that pixels x, y [N] of the undistorted photo show, in
     the frame of the stored photo's camera."""
-    rays: NDArray[np.float64] = np.stack([
+    return np.stack([
         (x - lens.centre[0]) / lens.focal[0], (y - lens.centre[1]) / lens.focal[1],
         np.ones_like(x)], axis=-1) @ lens.rotation.T
-    return rays
 
 
 def _photo_pixels(lens: Lens, places: Sequence[NDArray[np.float64]], least: float

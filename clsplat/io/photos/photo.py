@@ -62,8 +62,7 @@ class Photo:
     def attribute(self, name: str) -> object:
         """The value of an entry of the header by OpenImageIO's name, such as "Exif:FocalLength":
         a number, a text or a tuple of numbers; None if there is no such entry."""
-        value: object = self._spec.getattribute(name)
-        return value
+        return self._spec.getattribute(name)
 
     def bands(self, top: int, bottom: int) -> Iterator[NDArray[np.uint8]]:
         """Yield the rows from `top` to `bottom` in order, uint8[n, W, 3], sRGB."""
@@ -149,9 +148,6 @@ class _ArrayPhoto(Photo):
         self._alpha, self.has_alpha = channels - 1, channels in (2, 4)
         self.is_deep = pixels.dtype == np.uint16 and channels < 3
 
-    def attribute(self, name: str) -> object:
-        return None
-
     def _bands(self, top: int, bottom: int, kind: str) -> Iterator[NDArray[Any]]:
         whole = 1.0 if self._pixels.dtype == np.float32 else np.iinfo(self._pixels.dtype).max
         step = band_rows(self.width, self._pixels.shape[2])
@@ -218,10 +214,12 @@ def common_levels(sources: Sequence[Source], deep: Sequence[bool]
 @contextmanager
 def _input(source: str | Path | bytes) -> Iterator[tuple[str | Path, Any]]:
     """The name of an image for messages, and OpenImageIO's input of it."""
-    if isinstance(source, bytes):
-        name = f"encoded image of {len(source)} bytes"
-        with temporary_file(source) as path:
-            yield from _checked_input(path, name, len(source))
+    if isinstance(source, bytes):  # OpenImageIO does not read Python's memory
+        with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
+            path = Path(folder, "image")
+            path.write_bytes(source)
+            yield from _checked_input(str(path), f"encoded image of {len(source)} bytes",
+                                      len(source))
         return
     with reading(str(source), "an image that can be read", f"copy it again, or {CONVERT}"):
         with open_regular(source) as file:
@@ -229,15 +227,6 @@ def _input(source: str | Path | bytes) -> Iterator[tuple[str | Path, Any]]:
     if str(source).encode(errors="replace").decode() != str(source):  # OpenImageIO takes no other
         raise InputError(f"{source}: the path of the image is not UTF-8; rename it")
     yield from _checked_input(str(source), source, size)
-
-
-@contextmanager
-def temporary_file(content: bytes) -> Iterator[str]:
-    """Yield the path of a file of these bytes: OpenImageIO does not read Python's memory."""
-    with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
-        path = Path(folder, "image")
-        path.write_bytes(content)
-        yield str(path)
 
 
 def _checked_input(path: str, name: str | Path, size: int) -> Iterator[tuple[str | Path, Any]]:

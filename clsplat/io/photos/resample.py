@@ -136,7 +136,6 @@ def _kernel(f: NDArray[np.float32]) -> NDArray[np.float32]:
     """float32[N, 4]: the weights of the pixels around places at shares f [N] of the way from the
     second to the third."""
     half = np.float32(0.5)
-    weights: NDArray[np.float32] = half * np.stack([
+    return half * np.stack([
         f * (f * (2 - f) - 1), f * f * (3 * f - 5) + 2, f * (f * (4 - 3 * f) + 1),
         f * f * (f - 1)], axis=1)
-    return weights

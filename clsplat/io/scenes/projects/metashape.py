@@ -23,7 +23,6 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.io.fields import numbers, parsed, pixels, reading
-from clsplat.io.georeference.crs import is_local
 from clsplat.io.regular import open_regular, read_regular
 from clsplat.io.scenes.posed import BROWN, FISHEYE, Optics, PosedPhoto, optics
 from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene, root_of
@@ -33,6 +32,7 @@ from clsplat.scene import Scene
 HEAD_BYTES = 4096  # in which the file must show what it is
 DISTORTION = ("b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
+LOCAL = ("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")  # how the WKT of local coordinates begins
 
 
 def find_metashape(path: Path) -> Path | None:
@@ -76,7 +76,7 @@ def read_metashape(path: Path, images: str = "") -> Scene:
         photos = [_photo(camera, sensors, to_world, *found) for camera, found in zip(
             used, files.found(camera.get("label", "") for camera in used))]
         definition = (chunks[0].findtext("reference") or "").strip()
-        place = None if not definition or is_local(definition) else OnEarth(
+        place = None if not definition or definition.upper().startswith(LOCAL) else OnEarth(
             IDENTITY, definition, "Metashape")
         return project_scene(path, files, photos, place=place, notes=notes)
 
