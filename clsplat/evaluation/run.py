@@ -204,8 +204,7 @@ class Run:
         clsplat.ClsplatError : the model is empty.
         """
         model = shown(model or self.finished_model, self.path)
-        renderer, rows, degree = opened(device, model, scene, self.options)
-        return renderer, rows, degree
+        return opened(device, model, scene, self.options)
 
     def __repr__(self) -> str:
         state = "finished" if self.is_finished else "not finished"

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt
 
-from clsplat.georeference import LEFT_OUT, AxisError, Georeference, Residual, axis_errors
+from clsplat.georeference import AxisError, Georeference, Residual, axis_errors
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 from clsplat.partition.region import map_axes
@@ -64,34 +64,16 @@ class Survey:
     names: tuple[str, ...]
     cameras: NDArray[np.float64]
     ground: NDArray[np.float64]
-    record: dict[str, Any] = field(default_factory=dict)
-    georeference: Georeference | None = None
-    overlap: Overlap | None = None
-    pixel: float | None = None
-    height: float | None = None
-
-    @property
-    def is_known(self) -> bool:
-        """Whether more is known than the cameras: how they were found, or where they are."""
-        return bool(self.record) or self.georeference is not None
-
-    @property
-    def size(self) -> float:
-        """How far the measured places or, if that is not recorded, the cameras extend, map units;
-        0: unknown."""
-        extent = float(np.linalg.norm(np.ptp(self.cameras, axis=0)))
-        return (self.georeference and self.georeference.size) or (
-            extent if np.isfinite(extent) else 0.0)
+    record: dict[str, Any]
+    georeference: Georeference | None
+    overlap: Overlap | None
+    pixel: float | None
+    height: float | None
 
     @property
     def residuals(self) -> tuple[Residual, ...]:
         """The residual of each measured place, if they are recorded."""
         return self.georeference.residuals if self.georeference else ()
-
-    @property
-    def left_out(self) -> list[str]:
-        """The names of measured places that contradict the others."""
-        return [each.name for each in self.residuals if each.role == LEFT_OUT]
 
     @property
     def camera_residuals(self) -> NDArray[np.float64]:
@@ -109,14 +91,11 @@ def survey_of(scene: Scene) -> Survey:
         record = {}
     axes = np.vstack([map_axes(scene.up), scene.up])
 
-    def placed(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        original: NDArray[np.float64] = (scene.offset + scene.unit * points) @ axes.T
-        return original
-
     points = scene.points[::max(1, len(scene.points) // MOST_POINTS)]
     points = points[np.isfinite(points).all(axis=1)]
-    cameras = placed(np.array([view.camera.position for view in scene.views]))
-    ground = placed(points)
+    positions = np.array([view.camera.position for view in scene.views])
+    cameras, ground = ((scene.offset + scene.unit * places) @ axes.T
+                       for places in (positions, points))
     distances, pixels = ground_samples(scene, points)
     above = len(points) and np.median(cameras[:, 2]) > np.quantile(ground[:, 2], ABOVE)
     return Survey(

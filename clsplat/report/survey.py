@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.evaluation.survey import Survey, spreads, survey_of
-from clsplat.georeference import CHECK, CONTROL
+from clsplat.georeference import CHECK, CONTROL, LEFT_OUT
 from clsplat.io.photos.images import encode_image
 from clsplat.report.page import Table, folded, headed, warning
 from clsplat.scene import Scene
@@ -34,8 +34,8 @@ def survey_html(scene: Scene | None) -> str:
     """The section of a report for a scene at the size of its photos; "" if it is no survey. An
     error becomes a line of text."""
     try:
-        survey = None if scene is None else survey_of(scene)
-        return _section(survey) if survey is not None and survey.is_known else ""
+        survey = scene and survey_of(scene)
+        return _section(survey) if survey and (survey.record or survey.georeference) else ""
     except Exception as error:  # noqa: BLE001  (no survey is worth a page)
         return f"<p class=note>The survey could not be shown ({escape(str(error))}).</p>\n"
 
@@ -75,10 +75,10 @@ def _facts(survey: Survey) -> Iterator[tuple[str, str]]:
         yield "georeference", f"{known.crs[:60]}, by the {known.source or 'files of the scene'}"
         if known.vertical:
             yield "heights", known.vertical
-        share = f"; the flight extends over {length(survey.size)}" if survey.size else ""
+        share = f"; the flight extends over {length(known.size)}" if known.size else ""
         yield "residual", (f"{length(known.residual)} along the ground, RMS{share}"
                            if known.residual else "not recorded")
-        if left_out := survey.left_out:
+        if left_out := known.names(LEFT_OUT):
             rest = f" and {len(left_out) - SHOWN} more" if len(left_out) > SHOWN else ""
             yield "left out", f"{', '.join(left_out[:SHOWN])}{rest}, which contradict the others"
         if survey.pixel:
@@ -152,7 +152,8 @@ def _cameras(survey: Survey, low: NDArray[np.float64], high: NDArray[np.float64]
              ) -> str:
     """A dot at each camera, with its name and residual, and a cross where GPS was left out."""
     size = float(np.clip(30 / len(survey.names)**0.5, 1.2, 5) * (high - low).max() / WIDTH)
-    left_out, shapes = set(survey.left_out), []
+    left_out = {each.name for each in survey.residuals if each.role == LEFT_OUT}
+    shapes = []
     for name, (x, y), residual in zip(survey.names, survey.cameras - low, survey.camera_residuals):
         known = np.isfinite(residual)
         colour = "rgb({:.0f} {:.0f} {:.0f})".format(*_colours(np.array(residual / most))
