@@ -8,12 +8,10 @@ from clsplat.io.runs.city import PICTURE
 from clsplat.report.page import Table, embedded
 from clsplat.report.scores import Record
 
-SEAM_COLUMNS = {  # figure of a border -> its title
-    "pixels": "pixels",
-    "psnr": "PSNR", "elsewhere_psnr": "elsewhere", "seam_db": "seam dB"}
-EXPLAINED = {
-    "seam_db": "seam: gain in PSNR (colour-corrected, mean of views) over the reference elsewhere, "
-    "minus the gain beside the border"}
+SEAM_COLUMNS = (("pixels", "pixels"), ("psnr", "PSNR"), ("elsewhere_psnr", "elsewhere"),
+                ("seam_db", "seam dB"))  # figure of a border, and its title
+SEAM_NOTE = ("seam: gain in PSNR (colour-corrected, mean of views) over the reference elsewhere, "
+             "minus the gain beside the border.")
 
 
 def city_sections(folder: Path, records: Sequence[Record]) -> list[Table | str]:
@@ -42,18 +40,12 @@ def share_table(record: dict[str, Any]) -> Table:
 
 
 def seam_table(seams: dict[str, Any]) -> Table:
-    """A row for each border, from the result of `city.seams.find_seams`; figures that no border
-    has are left out."""
-    borders = seams["borders"]
-    names = [name for name in SEAM_COLUMNS
-             if name == "seam_db" or any(record[name] is not None for record in borders)]
-
+    """A row for each border, from the result of `city.seams.find_seams`."""
     def cell(value: float | None) -> str:
         return "-" if value is None else str(value) if isinstance(value, int) else f"{value:.2f}"
 
     rows = [(" | ".join(f"{block:03d}" for block in record["blocks"]),
-             *(cell(record[name]) for name in names)) for record in borders]
-    rows.append(("all", *[""] * (len(names) - 1), cell(seams["seam_db"])))
-    explained = "; ".join(text for name, text in EXPLAINED.items() if name in names)
-    return Table("Seams", ("blocks", *(SEAM_COLUMNS[name] for name in names)), rows,
-                 range(1, len(names) + 1), (f"{explained}.",))
+             *(cell(record[name]) for name, _ in SEAM_COLUMNS)) for record in seams["borders"]]
+    rows.append(("all", "", "", "", cell(seams["seam_db"])))
+    return Table("Seams", ("blocks", *(title for _, title in SEAM_COLUMNS)), rows, range(1, 5),
+                 (SEAM_NOTE,))

@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.config.option import options_of
 from clsplat.evaluation.pictures import COLOURS, LARGEST_ERROR, Pictures, ShownView
 from clsplat.io.photos.images import encode_image
 from clsplat.io.runs.run import RunFolder
-from clsplat.options import TrainOptions
 from clsplat.report.charts import drawn, score_chart, step_chart
 from clsplat.report.city import city_sections
 from clsplat.report.page import Table, folded, full_name, headed, html_of, page
@@ -33,8 +31,6 @@ from clsplat.scene import Scene
 JPEG_QUALITY = 85
 # attribute of a ShownView, caption
 PANELS = (("photo", "photo"), ("render", "render after the colour fit"), ("error", "its error"))
-FACTS = ("command", "date", "scene", "scene_absolute", "fingerprint", "extent", "offset",
-         "opencl_device", "kernel_form", "version", "commit")
 LEVELS = (("since", "steps at it", ",.0f"), ("slope", "slope", ".3g"),
           ("threshold", "threshold", ".3g"), ("frequency", "frequency", ".3g"),
           ("hits", "hits", ".0f"), ("rounds", "rounds", ".0f"), ("gaussians", "gaussians", ",.0f"))
@@ -63,7 +59,8 @@ def write_report(run: RunFolder, pictures: Pictures | None = None, scene: Scene 
         headed("Growth and loss", drawn("Gaussians, loss and level over iterations",
                                          step_chart, records)),
         _plan_table(records), level_table(records), _time_table(records),
-        folded("Options", _option_table(options).html()))
+        folded("Options", Table("", ("option", "value"), [
+            (name.replace("_", " "), str(value)) for name, value in options.items()]).html()))
     return run.write_report(page(full_name(run.path, options), lead(options, records),
                                  html_of(*sections), made=options))
 
@@ -178,15 +175,6 @@ def level_table(records: Sequence[Record]) -> Table | None:
         ("A level has converged when the slope of the scene frequency, per step, is below the "
          "threshold convergence_hits times in a row (hits). Rounds: of growth, at that level.",)
         ) if rows else None
-
-
-def _option_table(options: Mapping[str, Any]) -> Table:
-    """A row for each fact, then for each option in order, then for all else that was recorded."""
-    known = (*FACTS, *(option.name for option in options_of(TrainOptions)))
-    names = [name for name in known if name in options]
-    names += [name for name in options if name not in known]
-    return Table("", ("option", "value"),
-                 [(name.replace("_", " "), str(options[name])) for name in names])
 
 
 def _duration(seconds: float) -> str:
