@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 NOTES_WIDTH = 100  # characters, of notes in the terminal
-LONGEST_COMMAND = 1000  # characters, of the command in the head of a page
 
 
 @dataclass(frozen=True)
@@ -118,8 +117,6 @@ def _made(record: Mapping[str, Any]) -> str:
     """A line with what `io.origin` has recorded; "" if that is nothing."""
     date, version, commit, command = (
         str(record.get(key) or "") for key in ("date", "version", "commit", "command"))
-    if len(command) > LONGEST_COMMAND:
-        command = f"{command[:LONGEST_COMMAND]} ..."
     program = f"clsplat {version}" + (f" ({commit[:8]})" if commit else "")
     facts = [escape(date.replace("T", " ", 1)[:16]), escape(program) if version else "",
              f"<code>{escape(command)}</code>" if command else ""]
