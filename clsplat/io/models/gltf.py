@@ -34,7 +34,6 @@ from clsplat.io.models.values import (
     half_turn,
     log_scales_of,
     logits,
-    stored_positions,
     stored_rows,
     unit,
 )
@@ -74,8 +73,8 @@ def write_glb(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     Notes become `asset.extras.comments`. Programs without the extension show the gaussians as
     coloured points.
     """
-    positions, origin = stored_positions(gaussians)
-    rows = half_turn(stored_rows(gaussians, positions), axis=2)
+    rows, origin = stored_rows(gaussians)
+    rows = half_turn(rows, axis=2)
     attributes = {name: encode(rows[field]).astype("<f4")
                   for name, field, _, encode, _ in ATTRIBUTES}
     attributes |= zip(HARMONICS, rows["sh_rest"].astype("<f4").transpose(1, 0, 2))

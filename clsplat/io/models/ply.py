@@ -193,8 +193,5 @@ def _recorded_offset(path: str | Path, comments: Iterable[str]) -> NDArray[np.fl
             offset = np.array([float(value) for value in match.groups()])
         except ValueError:
             continue
-        if not np.isfinite(offset).all():
-            raise InputError(f"{path}: the offset in its header is not finite; export the model "
-                             "again")
         return offset
     return np.zeros(3)

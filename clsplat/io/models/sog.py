@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2, vq
+from scipy.special import expit
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -28,10 +29,7 @@ from clsplat.io.models.values import (
     byte_logits,
     from_smallest_three,
     gaussians_of,
-    morton_order,
-    opacities,
     smallest_three,
-    stored_positions,
     stored_rows,
 )
 from clsplat.io.photos.images import encode_image
@@ -64,18 +62,16 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     They are sorted along a curve in space. Of the comments, only whether the model is antialiased
     has a place.
     """
-    positions, origin = stored_positions(gaussians)
-    order = morton_order(positions)
-    rows = stored_rows(gaussians, positions, order)
+    rows, origin = stored_rows(gaussians, along_curve=True)
     logarithms = np.sign(rows["positions"]) * np.log1p(np.abs(rows["positions"]))
-    low, high = ((logarithms.min(axis=0), logarithms.max(axis=0)) if len(order)
+    low, high = ((logarithms.min(axis=0), logarithms.max(axis=0)) if gaussians.count
                  else np.zeros((2, 3)))
     steps = np.rint((logarithms - low) / np.maximum(high - low, SMALLEST_SPAN)
                     * LARGEST_STEP).astype(int)
     largest, others = smallest_three(rows["quaternions"])
     scales, scale_labels = _codebook(rows["log_scales"])
     colours, colour_labels = _codebook(rows["sh_constant"])
-    opacity = OPACITY_STEPS.bytes(opacities(gaussians)[order])
+    opacity = OPACITY_STEPS.bytes(expit(rows["opacity_logits"]))
     # the record and the textures of each
     parts: dict[str, tuple[dict[str, Any], list[NDArray[np.uint8]]]] = {
         MEANS: ({"mins": low.tolist(), "maxs": high.tolist()},
@@ -109,10 +105,8 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
                 return stream.read(member.file_size + 1)
 
         meta = object_of(read(META))
-        version = meta.get("version", 1)
-        if version != 2:
-            raise InputError(f"{path}: SOG of version {str(version)[:20]}, which is not read; "
-                             "write version 2, as splat-transform does, or a PLY")
+        if meta.get("version", 1) != 2:
+            raise ValueError("another version is not read; splat-transform writes version 2")
         count = meta["count"]
         if type(count) is not int or count < 0:
             raise ValueError("count is not a number of gaussians")

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -31,13 +32,10 @@ from clsplat.io.models.values import (
     from_smallest_three,
     gaussians_of,
     half_turn,
-    morton_order,
-    opacities,
     smallest_three,
-    stored_positions,
     stored_rows,
 )
-from clsplat.io.regular import check_expansion, check_rows, read_regular
+from clsplat.io.regular import check_rows, read_regular
 
 HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, SH degree, fractional bits, flags
 HEADER_4 = struct.Struct("<16sI12x")  # of version 4: HEADER, where the table begins
@@ -88,10 +86,9 @@ def write_spz(path: Path, gaussians: Gaussians, notes: Notes) -> None:
 
 def packed_spz(path: Path, gaussians: Gaussians, notes: Notes) -> tuple[bytes, int]:
     """The content of a SPZ file, and the degree of its harmonics; `path` is for messages."""
-    positions, origin = stored_positions(gaussians)
-    order = morton_order(positions)
-    rows = half_turn(stored_rows(gaussians, positions, order), axis=0)
-    bits = _fractional_bits(path, positions, gaussians.log_scales)
+    rows, origin = stored_rows(gaussians, along_curve=True)
+    rows = half_turn(rows, axis=0)
+    bits = _fractional_bits(path, rows["positions"], gaussians.log_scales)
     fixed = np.rint(rows["positions"] * 2.0**bits).astype("<i4")
     bucket = np.where(np.arange(rows["sh_rest"].shape[1]) < 3, *SH_BUCKETS)[:, None]
     sh = HARMONICS.bytes(np.floor(rows["sh_rest"] * HARMONICS.scale / bucket + 0.5)
@@ -101,7 +98,7 @@ def packed_spz(path: Path, gaussians: Gaussians, notes: Notes) -> tuple[bytes, i
         degree -= 1
         sh = sh[:, :(degree + 1) ** 2 - 1]
     parts = (fixed.view(np.uint8).reshape(-1, 4)[:, :3],
-             OPACITY_STEPS.bytes(opacities(gaussians)[order]), COLOURS.bytes(rows["sh_constant"]),
+             OPACITY_STEPS.bytes(expit(rows["opacity_logits"])), COLOURS.bytes(rows["sh_constant"]),
              LOG_SCALES.bytes(rows["log_scales"]), _packed_rotations(rows["quaternions"]), sh)
     content = HEADER.pack(MAGIC, VERSION, gaussians.count, degree, bits,
                           ANTIALIASED * notes.antialiased, 0)
@@ -130,7 +127,6 @@ def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
     header = _header(data)
     count, widths = header.number, header.widths
     sizes = [count * width for width in widths]
-    check_expansion(len(data), sum(sizes))
     check_rows(len(data), count, widths[-1] // 3)
     contents = (_streams if header.version == WITH_STREAMS else _stream)(data, header, sizes)
     position, opacity, colour, scale, rotation, sh = (

@@ -91,17 +91,22 @@ def needs_double(positions: NDArray[np.float64], log_scales: NDArray[np.float32]
     return bool(error and error > TOLERANCE * np.exp(np.median(log_scales.astype(np.float64))))
 
 
-def stored_positions(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Positions float64[N, 3] for a file in single precision, and their origin float64[3].
+def stored_rows(gaussians: Gaussians, along_curve: bool = False
+                ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.float64]]:
+    """The fields of `gaussians.LEARNED` for a file in single precision, in double precision and if
+    wanted in `morton_order`, and the origin float64[3] of the positions.
 
-    These are the original coordinates with a zero origin, or, if float32 would lose digits, the
+    Positions are the original coordinates with a zero origin, or, if float32 would lose digits, the
     local coordinates with the offset as their origin, which the file must record.
     """
-    local = gaussians.positions.astype(np.float64)
-    world = local + gaussians.offset
-    if needs_double(world, gaussians.log_scales):
-        return local, gaussians.offset
-    return world, np.zeros(3)
+    rows = {field.name: gaussians.rows[field.name].astype(np.float64) for field in LEARNED}
+    world, origin = rows["positions"] + gaussians.offset, gaussians.offset
+    if not needs_double(world, gaussians.log_scales):
+        rows["positions"], origin = world, np.zeros(3)
+    if along_curve:
+        order = morton_order(rows["positions"])
+        rows = {name: values[order] for name, values in rows.items()}
+    return rows, origin
 
 
 def gaussians_of(path: Path, rows: dict[str, NDArray[np.float64]],
@@ -192,14 +197,6 @@ def half_turn(rows: dict[str, NDArray[np.float64]], axis: int) -> dict[str, NDAr
     return {**rows, "positions": rows["positions"] * sign,
             "quaternions": rows["quaternions"] * np.append(1, sign),
             "sh_rest": rest * bands[:rest.shape[1], None]}
-
-
-def stored_rows(gaussians: Gaussians, positions: NDArray[np.float64],
-                order: NDArray[np.intp] | slice = slice(None)) -> dict[str, NDArray[np.float64]]:
-    """The fields of `gaussians.LEARNED` in double precision and another order, with
-    `stored_positions`."""
-    rows = {field.name: gaussians.rows[field.name].astype(np.float64) for field in LEARNED}
-    return {name: values[order] for name, values in {**rows, "positions": positions}.items()}
 
 
 def morton_order(positions: NDArray[np.floating]) -> NDArray[np.intp]:
