@@ -121,8 +121,6 @@ class City:
             if changed and RunFolder(folder.coarse).is_begun:  # else they have not been used yet
                 raise InputError(f"{folder.path}: was begun with {changed[0]} {changed[1]}; give "
                                  "the same options, or choose another --output")
-        else:
-            folder.check_free()
         make_folder(folder.path, "choose another --output")
         folder.write(record)
 

@@ -110,7 +110,8 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
     numbers = ((number,) for number in range(len(partition.regions)))
     for _ in called_ahead(write, numbers, BLOCKS_TOGETHER, BLOCKS_TOGETHER):
         pass  # an error is raised here
-    draw(folder, partition, scene, counts)
+    with replacing(folder.picture) as file:
+        write_map(file, partition, scene, counts)
     return _block_table(folder, counts)
 
 
@@ -156,12 +157,6 @@ def block_steps(city: City, steps: float, size: tuple[int, int], facts: SceneFac
     shrunk = dataclasses.replace(shrunk, **schedule.options_of_block(shrunk, size, facts))
     return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
             if field.name not in ("init", "coarse")}
-
-
-def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[np.integer]) -> None:
-    """Write the partition as a map; `counts` [B]: gaussians that each block owns."""
-    with replacing(city.picture) as file:
-        write_map(file, partition, scene, counts)
 
 
 def requested_of(city: CityFolder, key: str = REQUESTED) -> dict[str, Any]:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.cities.city import City
-from clsplat.cities.cut import JOINT, draw, requested_of
+from clsplat.cities.cut import JOINT, requested_of
 from clsplat.cities.scene import Stage
 from clsplat.cities.seams import find_seams
 from clsplat.cities.tree import TreeBuilder
@@ -41,7 +41,6 @@ from clsplat.io.models.tree import TREE, writing_tree
 from clsplat.io.models.values import colours_of, to_bytes
 from clsplat.io.runs.city import PARTITION, BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder
-from clsplat.io.scenes.read import fingerprint
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.partition.region import Partition, world_of
 from clsplat.report.run import write_report
@@ -52,7 +51,6 @@ from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.progress import SilentProgress
 
 READ_TOGETHER = 4  # blocks, where all of them will be in memory
-STARVED = 0.1  # gaussians for each sparse point of its cell; a block with fewer did not train well
 FILLED = ("merged", "coarse")  # states of a block whose cell is filled
 TRAINS = "in training"  # by another process, at this moment
 NEVER_FILLED = (TRAINS, "refused")  # states of a block, whose note has the cure
@@ -69,7 +67,7 @@ class Share:
     ----------
     block : its number.
     state : merged; coarse, if the coarse model's gaussians are in its place; or the reason why it
-        has no part: missing, unfinished, in training, starved, refused.
+        has no part: missing, unfinished, in training, refused.
     gaussians, trained : numbers of its gaussians in the merged model, and in its own, which has a
         margin and surroundings.
     views, points : numbers of its training views, and of sparse points in its cell.
@@ -133,17 +131,14 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False,
     Parameters
     ----------
     city, scene : its folder; the whole, as `read_scene` returns it.
-    fill : take the coarse model's gaussians for blocks that are missing, unfinished or starved, but
-        not for a block that another process trains at this moment.
+    fill : take the coarse model's gaussians for blocks that are missing or unfinished, but not for
+        a block that another process trains at this moment.
     keep : called with the gaussians of each block, one at a time in memory; None: they are joined.
 
     Raises
     ------
-    InputError : another scene, a damaged partition, or block folders of another partition.
+    InputError : a damaged partition, or block folders of another partition.
     """
-    if fingerprint(scene) != city.read()["fingerprint"]:
-        raise InputError(f"{city.path}: is a city of another scene than {scene.path}; give the one "
-                         "that it was begun with, or begin a new city")
     partition = city.partition(scene)
     for folder in city.blocks():
         number = folder.read()["number"]
@@ -162,9 +157,6 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False,
     keep = keep or pieces.append
     for number, views in enumerate(partition.views):
         state, trained, piece, note = next(found)
-        if piece and piece.count < STARVED * points[number]:
-            state, note = "starved", f"only {piece.count} gaussians in its cell"
-            piece = None
         if fill and state not in ("merged", *NEVER_FILLED):
             coarse = coarse or RunFolder(city.coarse).load_model(scene.offset)
             piece = cropped(coarse, partition, number, scene.offset)
@@ -303,7 +295,6 @@ def evaluate_city(city: City, merged: Merged, against: Path | None = None
     folder, options = city.folder, city.options
     run, record = Run.open(folder.path), merge_record(folder)
     spent = {key: record[key] for key in (*SPENT, "level", "gaussians")}
-    counts = np.array([share.gaussians for share in merged.shares])
     scores = seams = None
     whole = run.scene(whole=True)
     scene = run.as_trained(whole)
@@ -314,9 +305,7 @@ def evaluate_city(city: City, merged: Merged, against: Path | None = None
         run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
                                                      if key not in ("per_view", "pictures")}})
     partition = folder.partition(scene)
-    if not folder.picture.is_file():
-        draw(folder, partition, scene, counts)
-    if len(counts) > 1:
+    if len(merged.shares) > 1:
         reference = read_ply(against or RunFolder(folder.coarse).model_path, scene.offset)
         seams = find_seams(city.device, partition, scene, test or train, options,
                            merged.gaussians, reference.without_spheres())

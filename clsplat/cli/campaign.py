@@ -32,8 +32,6 @@ def combinations(file_values: dict[str, Any], flag_values: dict[str, Any], sched
     names = schedules.split(",")
     if len(set(names)) < len(names):
         raise InputError(f"--schedules {schedules}: names one twice; leave the second out")
-    if seeds < 1:
-        raise InputError(f"--seeds {seeds}: expects at least 1")
     given = {**file_values, **flag_values}
     if given.get("stop_at"):
         raise InputError("--stop-at: cannot be used with --schedules, which finishes every run; "

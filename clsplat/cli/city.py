@@ -140,7 +140,7 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
 @click.command()
 @click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
 @click.option("--fill", is_flag=True, help="Use the coarse model's gaussians where a block is "
-              "missing, unfinished, or has too few gaussians; the report says so.")
+              "missing or unfinished; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), help="A run of the whole scene, or its "
               "PLY, as the reference for seams, in place of the coarse model.")
 @click.option("--tree", is_flag=True, help=TREE_HELP)

@@ -46,7 +46,7 @@ FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
 @click.option("--schedules", **FOLDER, help="Several schedules, separated by commas: train each "
               "with each seed in OUTPUT/SCHEDULE.SEED, then compare them. The same command "
               "continues where the last one ended.")
-@click.option("--seeds", type=int, default=1, show_default=True, **FOLDER,
+@click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True, **FOLDER,
               help="Number of seeds, with --schedules.")
 @click.option("--view", is_flag=True, **FOLDER, help="Show the training on a page for the browser "
               "of this machine, at an address that is printed; the result is the same.")

@@ -241,7 +241,6 @@ def test_combinations():
     refused(lambda: combinations({}, {"levels": (4, 2, 1)}, "constant,dash", 1), "levels")
     refused(lambda: combinations({}, {}, "sig,nosuch", 1), "nosuch")
     refused(lambda: combinations({}, {}, "sig,sig", 1), "twice")
-    refused(lambda: combinations({}, {}, "sig", 0), "--seeds 0")
     refused(lambda: combinations({}, {"stop_at": 5}, "sig", 1), "--stop-at")
 
 
