@@ -5,11 +5,20 @@ import math
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from clsplat.config import option as declared
-from clsplat.config import toml
-from clsplat.config.option import AUTO, MOST_STEPS, is_auto, option, options_of, shown_name
+from clsplat.config.option import (
+    AUTO,
+    MOST_STEPS,
+    SHOWN,
+    Option,
+    checked,
+    is_auto,
+    option,
+    options_of,
+    shown_name,
+)
 from clsplat.densify.options import GrowthOptions
 from clsplat.errors import InputError
 from clsplat.loss.options import REGISTERED as PARTS
@@ -30,6 +39,11 @@ from clsplat.schedule.registry import REGISTERED as SCHEDULES
 from clsplat.schedule.sig import SigOptions
 from clsplat.schedule.steps import PUBLISHED_LENGTH
 from clsplat.schedule.taming import TamingOptions
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10
+    import tomli as tomllib  # type: ignore[no-redef]
 
 MOST_SECONDS = 366 * 24 * 3600.0  # in a time budget
 UNIT_SECONDS = {"s": 1, "m": 60, "h": 3600}
@@ -171,11 +185,6 @@ def options_with(*schedules: str, parts: Iterable[str] = ()) -> type[TrainOption
                                       frozen=True) if groups else TrainOptions
 
 
-def checked(source: str, key: str, value: Any, kind: type = TrainOptions) -> Any:
-    """`config.option.checked` for the options of a training."""
-    return declared.checked(kind, source, key, value)
-
-
 def checked_values(source: str, values: dict[str, Any], *schedules: str,
                    parts: Iterable[str] = ()) -> dict[str, Any]:
     """The checked values of options, by name; InputError, which begins with `source`, for others.
@@ -183,15 +192,25 @@ def checked_values(source: str, values: dict[str, Any], *schedules: str,
     The schedule and the parts among the values add their own options; `schedules` and `parts` name
     more of them.
     """
-    name, named = (checked(source, key, {**_FIRST, **values}[key]) for key in _FIRST)
+    name, named = (checked(TrainOptions, source, key, {**_FIRST, **values}[key])
+                   for key in _FIRST)
     kind = options_with(name, *schedules, parts=(*named, *parts))
-    return {key: checked(source, key, value, kind) for key, value in values.items()}
+    return {key: checked(kind, source, key, value) for key, value in values.items()}
 
 
 def from_toml(path: str | os.PathLike[str], *schedules: str, parts: Iterable[str] = ()
               ) -> dict[str, Any]:
     """The options of a training in a TOML file; `schedules` and `parts` as for `checked_values`."""
-    return checked_values(str(path), toml.table(path), *schedules, parts=parts)
+    try:  # utf-8-sig: with the mark of Windows editors
+        pairs = tomllib.loads(Path(path).read_text("utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:  # also from integers of 4301 digits
+        raise InputError(f"{path}: not valid TOML: {str(error)[:SHOWN]}") from None
+    values = {key.replace("-", "_"): value for key, value in pairs.items()}
+    if len(values) < len(pairs):
+        raise InputError(f"{path}: an option is set twice, with - and with _; remove one line")
+    return checked_values(str(path), values, *schedules, parts=parts)
 
 
 def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOptions:
@@ -218,14 +237,14 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
 def recorded(record: dict[str, Any]) -> TrainOptions:
     """The options among the values of a run's options.json; InputError for a damaged one."""
     source, given = "options.json", {**_FIRST, **record}
-    schedule, parts = (checked(source, name, given[name]) for name in _FIRST)
+    schedule, parts = (checked(TrainOptions, source, name, given[name]) for name in _FIRST)
     known = {option.name for option in options_of(options_with(schedule, parts=parts))
              if serves(option, schedule)}
     return resolve(checked_values(source, {
         name: value for name, value in record.items() if name in known}), {})
 
 
-def serves(known: declared.Option, schedule: str) -> bool:
+def serves(known: Option, schedule: str) -> bool:
     """Whether an option has an effect with a schedule."""
     part = known.metadata["part"]
     return part is None or part in schedule_of(schedule).parts

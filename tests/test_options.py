@@ -10,11 +10,10 @@ from click.testing import CliRunner
 
 from clsplat.cli.flags import TrainingCommand, given_options, training_flags
 from clsplat.cli.main import main
-from clsplat.config.option import expected, flag_name, shown_name
+from clsplat.config.option import checked, expected, flag_name, shown_name
 from clsplat.errors import InputError
 from clsplat.options import (
     TrainOptions,
-    checked,
     from_toml,
     resolve,
     seconds_of,
@@ -184,7 +183,7 @@ def test_choices_set_what_there_is_to_legal_values():
     for choice, value, chosen in tables:
         assert value in (FIELDS[choice].metadata["choices"] or (True, False))
         for name, other in chosen.items():
-            assert checked("choice", name, other) == other
+            assert checked(TrainOptions, "choice", name, other) == other
             assert other != FIELDS[name].default, (choice, value, name)
 
 
@@ -311,9 +310,9 @@ def test_a_word_is_a_flag_a_key_and_a_record_that_agree(name, word, toml):
     if name in FLAGS:
         assert parse(flag_name(name), word)[0] == {name: meaning}
     assert from_toml(toml(f'{name} = "{word}"')) == {name: meaning}
-    assert checked("options.json", name, word) == meaning
+    assert checked(TrainOptions, "options.json", name, word) == meaning
     written = json.loads(json.dumps(meaning))  # what is recorded, and what users had before
-    assert checked("options.json", name, written) == meaning
+    assert checked(TrainOptions, "options.json", name, written) == meaning
     assert word in expected(FIELDS[name])
 
 

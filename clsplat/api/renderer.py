@@ -95,8 +95,9 @@ def _result(frame: pipeline.Frame | SlabFrame, depth: bool) -> Any:
     image = _image(frame.image)
     if not depth:
         return image
-    transmittance = frame.blended.transmittance.download()
-    return image, _mean_depth(frame.blended.depth.download(), transmittance)
+    opaque = 1 - frame.blended.transmittance.download()
+    mean = frame.blended.depth.download() / np.maximum(opaque, 1e-6)
+    return image, np.where(opaque > 1e-6, mean, 0).astype(np.float32)
 
 
 @dataclass(eq=False)
@@ -226,14 +227,12 @@ class Renderer:
         if frame.depth is None and not (grad_depth is None and grad_transmittance is None):
             raise InputError("gradients of depth or transmittance need a frame with depth: "
                              "forward(camera, depth=True)")
-        by_depth, by_transmittance = (
-            None if values is None else self._gradient(values, name, (height, width))
-            for name, values in (("grad_depth", grad_depth),
-                                 ("grad_transmittance", grad_transmittance)))
         gradients = self._pipeline.adjoint(
             self._rows, frame._frame,
             self._gradient(grad_image, "grad_image", (height, width, channels)),
-            by_depth, by_transmittance, with_pose=pose)
+            self._gradient(grad_depth, "grad_depth", (height, width)),
+            self._gradient(grad_transmittance, "grad_transmittance", (height, width)),
+            with_pose=pose)
         rows = gradients.rows.download()
         finite = rows != NO_ROW
         dense, found = {}, dict(gradients.fields)
@@ -260,6 +259,9 @@ class Renderer:
         return self.device.upload(array)
 
     def _gradient(self, values: Any, name: str, shape: tuple[int, ...]) -> Any:
+        """A gradient on the device; None: it is zero."""
+        if values is None:
+            return None
         array = _as_numpy(values, name)
         if array.shape != shape:
             raise InputError(f"{name}: has shape {array.shape}, not {shape}")
@@ -314,11 +316,6 @@ def _in_frame_of(model: Gaussians, camera: Camera | None) -> Camera:
 
 def _image(array: Any) -> NDArray[np.float32]:
     return np.ascontiguousarray(array.download().transpose(1, 2, 0), np.float32)
-
-
-def _mean_depth(depth: NDArray[Any], transmittance: NDArray[Any]) -> NDArray[np.float32]:
-    opaque = 1 - transmittance
-    return np.where(opaque > 1e-6, depth / np.maximum(opaque, 1e-6), 0).astype(np.float32)
 
 
 def _as_numpy(values: Any, name: str) -> NDArray[np.float32]:

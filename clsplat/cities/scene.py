@@ -21,7 +21,7 @@ from clsplat.training.part import Part, State
 from clsplat.training.parts.exposures import PhotoResponses
 
 if TYPE_CHECKING:
-    from clsplat.schedule.growth import Growth
+    from clsplat.densify.grow import Growth
     from clsplat.training.model import Model
     from clsplat.training.session import Session
 

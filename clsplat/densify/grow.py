@@ -13,13 +13,13 @@ the device.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.densify.sphere import outside
-from clsplat.schedule.growth import Growth
 
 if TYPE_CHECKING:
     from clsplat.densify.options import GrowthOptions
@@ -32,6 +32,34 @@ STEP, REACH = 0.25, 8.0  # of the sum for an integral, standard deviations; its 
 OPACITY_MAX = 1 - 2.0**-20  # the logit of 1 is infinite
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """How a round of growth makes M new rows from N old ones.
+
+    Attributes
+    ----------
+    source : uint32[M], the old row of each new row: first the rows that stay, then clones, then the
+        children of splits; or after those that stay all that share in a relocation.
+    kept : how many rows stay, with their moments.
+    cloned : how many rows are cloned.
+    split : how many rows are replaced by their children.
+    pruned : how many rows are removed without children.
+    changes : field name -> (first new row, values), where new rows differ from their source.
+    """
+
+    source: NDArray[np.uint32]
+    kept: int
+    cloned: int
+    split: int
+    pruned: int
+    changes: dict[str, tuple[int, NDArray[np.float32]]]
+
+    @property
+    def unchanged(self) -> int:
+        """How many new rows, from the first one on, are equal to their source."""
+        return min((first for first, _ in self.changes.values()), default=len(self.source))
 
 
 class Candidates:

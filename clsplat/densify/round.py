@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.densify.grow import Candidates, plan_growth, plan_relocation
-from clsplat.schedule.growth import Growth, Round
+from clsplat.densify.grow import Candidates, Growth, plan_growth, plan_relocation
 
 if TYPE_CHECKING:
     from clsplat.options import ScheduledOptions
@@ -22,11 +21,22 @@ Floats = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 
-class MeasuredRound(Round):
-    """The `schedule.growth.Round` of a training, which describes its attributes and methods.
+class Round:
+    """A round of growth of N gaussians, which `Schedule.grow` is given.
 
-    `gradient` returns float[N], mean screen gradients in NDC units, and waits for the device;
-    `scores` makes of these the scores float[N] of Taming 3DGS, and renders views.
+    Parameters
+    ----------
+    iteration : number of the step before it, from 1.
+    candidates : the gaussians, and what may become of them.
+    options : of the training.
+    frozen : bool[N], gaussians that are not trained; they stay.
+    gradient : returns float[N], mean screen gradients in NDC units, and waits for the device.
+    scores : makes of these the scores float[N] of Taming 3DGS, and renders views.
+
+    Attributes
+    ----------
+    rows : field name -> float32[N, *row shape], every field but the spherical harmonics.
+    rng : draws; a resumed run draws the same numbers.
     """
 
     def __init__(self, iteration: int, candidates: Candidates, options: "ScheduledOptions",
@@ -39,18 +49,23 @@ class MeasuredRound(Round):
 
     @cached_property
     def prunes(self) -> Mask:
+        """bool[N], trained ones that are transparent, outside their sphere or too large."""
         return self._candidates.prunes & ~self.frozen
 
     @cached_property
     def gradient(self) -> Floats:
+        """float[N], mean screen gradients since the last round, NDC units; -inf for frozen ones."""
         gradient = self._gradient()
         return np.where(self.frozen, -np.inf, gradient) if self.frozen.any() else gradient
 
     @cached_property
     def scores(self) -> Floats:
+        """float[N], the scores of Taming 3DGS, at least 0."""
         return self._scores(self._gradient())
 
     def room(self, target: int | None, count: int) -> int | None:
+        """How many gaussians may be added to `count` trained ones that stay, up to a `target` of
+        trained ones; None: any number."""
         limit = self.options.max_gaussians
         if limit:
             limit -= int(self.frozen.sum())
@@ -58,15 +73,18 @@ class MeasuredRound(Round):
         return None if target is None else max(0, target - count)
 
     def above_threshold(self, room: int | None = None) -> Mask:
+        """bool[N]: those whose gradient reaches `grow_threshold`, at most `room` (3DGS)."""
         mask = self.gradient >= self.options.grow_threshold
         return mask if room is None else _highest_of(mask, self.gradient, room)
 
     def highest(self, room: int) -> Mask:
+        """bool[N]: those of the highest gradients that stay (DashGaussian)."""
         gradient = np.where(self.prunes, 0, self.gradient)
         return _highest_of(gradient > 0, gradient, room)
 
     def by_score(self, room: int, prunes: Mask) -> Mask:
-        """Clones and splits share the room in proportion to how many of them are eligible."""
+        """bool[N]: those above the threshold, drawn by their scores (Taming 3DGS); none is one of
+        `prunes`. Clones and splits share the room in proportion to how many are eligible."""
         scores, small = np.where(prunes, 0, self.scores), self._candidates.is_small
         eligible = self.gradient >= self.options.grow_threshold
         keys = _drawn_keys(scores, self.rng)
@@ -79,16 +97,23 @@ class MeasuredRound(Round):
         return chosen & eligible & (scores > 0)
 
     def half_of_prunes(self) -> Mask:
-        """Those of score 0 are drawn first."""
+        """bool[N]: half of `prunes`, drawn by how low their scores are (Taming 3DGS)."""
         weights = 1 / np.maximum(self.scores, np.finfo(float).tiny)
         keys = np.where(self.prunes, -_drawn_keys(weights, self.rng), np.inf)
         return _first(keys, self.prunes.sum() // 2)
 
     def densify(self, grows: Mask, prunes: Mask | None = None) -> Growth:
+        """Clone the small ones among the gaussians that grow, and split the others in two.
+
+        `grows` and `prunes` (None: those of the round) are bool[N]. One that is removed as too
+        large may still be split, if its children are small enough.
+        """
         return plan_growth(self._candidates, grows, self.prunes if prunes is None else prunes,
                            self.rng)
 
     def relocate(self, added: int) -> Growth:
+        """Make copies of live gaussians, in place of transparent ones and, `added` of them, beside.
+        """
         return plan_relocation(self.rows["opacity_logits"], self.rows["log_scales"],
                                ~self._candidates.visible, self.frozen, added,
                                self.options.prune_opacity, self.rng)

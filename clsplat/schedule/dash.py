@@ -20,8 +20,9 @@ from clsplat.schedule.constant import Constant
 from clsplat.schedule.plan import Plan, SceneFacts
 
 if TYPE_CHECKING:
+    from clsplat.densify.grow import Growth
+    from clsplat.densify.round import Round
     from clsplat.options import ScheduledOptions
-    from clsplat.schedule.growth import Growth, Round
 
 LARGEST_FACTOR = 8
 TILE = 16  # pixels

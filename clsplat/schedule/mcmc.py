@@ -16,8 +16,9 @@ from clsplat.config.option import option
 from clsplat.schedule.plan import Plan, SceneFacts, Schedule
 
 if TYPE_CHECKING:
+    from clsplat.densify.grow import Growth
+    from clsplat.densify.round import Round
     from clsplat.options import ScheduledOptions
-    from clsplat.schedule.growth import Growth, Round
 
 GROWS_SHARE = 25 / 30  # of the run
 CAP = 1_000_000  # gaussians up to which the model grows, unless --max-gaussians names them

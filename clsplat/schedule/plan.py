@@ -11,8 +11,9 @@ if TYPE_CHECKING:  # --help must not wait for numpy
     import numpy as np
     from numpy.typing import NDArray
 
+    from clsplat.densify.grow import Growth
+    from clsplat.densify.round import Round
     from clsplat.options import ScheduledOptions
-    from clsplat.schedule.growth import Growth, Round
 
 LIMITS = (("level", 1, 1e6), ("degree", 0, 3), ("decay", -1, math.inf),  # of a Plan
           ("regularises", 0, 1e6))

@@ -8,8 +8,9 @@ from clsplat.schedule.constant import Constant
 from clsplat.schedule.plan import STEPS_A_ROUND
 
 if TYPE_CHECKING:
+    from clsplat.densify.grow import Growth
+    from clsplat.densify.round import Round
     from clsplat.options import ScheduledOptions
-    from clsplat.schedule.growth import Growth, Round
 
 ROUNDS = 60  # of growth in a run: one every 500 of 30,000 steps
 

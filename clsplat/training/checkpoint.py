@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.config.option import checked
 from clsplat.errors import InputError, reason
 from clsplat.gaussians import FIELDS, LEARNED, Field, Gaussians
 from clsplat.io.runs.run import CHECKPOINT, OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
-from clsplat.options import checked
+from clsplat.options import TrainOptions
 from clsplat.training.budget import Deadline
 from clsplat.training.recorder import Clock, broken
 from clsplat.training.session import Session
@@ -101,7 +102,8 @@ def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays) -> G
     option -> value. InputError if the checkpoint or the options are damaged."""
     try:
         return gaussians_of(
-            arrays, checked(str(run.path / OPTIONS), "sh_degree", record["sh_degree"]))
+            arrays, checked(TrainOptions, str(run.path / OPTIONS), "sh_degree",
+                            record["sh_degree"]))
     except (KeyError, ValueError) as error:
         raise damaged(run, error) from None
 

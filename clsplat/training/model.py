@@ -6,12 +6,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from clsplat.densify.grow import Growth
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.optimise.numpy_adam import NumpyAdam
 from clsplat.primitives.gather import gather
-from clsplat.schedule.growth import Growth
 
 # of the device's memory; beyond it, the moments are kept on the host: frames take as much again
 # and photos a quarter

@@ -29,11 +29,11 @@ from clsplat.rendering.pipeline import Frame
 from clsplat.rendering.project import Gradients
 
 if TYPE_CHECKING:
+    from clsplat.densify.grow import Growth
     from clsplat.gaussians import Gaussians
     from clsplat.io.runs.run import RunFolder
     from clsplat.options import TrainOptions
     from clsplat.scene import Scene, View
-    from clsplat.schedule.growth import Growth
     from clsplat.schedule.plan import Plan, SceneFacts
     from clsplat.training.model import Model
     from clsplat.training.photos import Thumbnails

@@ -253,7 +253,8 @@ class Photos:
             return
         begin = time.perf_counter()
         first, self.level, self.views = not self.level, level, at_level(self._full, level)
-        self.resident = self._nbytes() <= self._budget
+        self.resident = sum(photo_array(view).nbytes(self.device.real)
+                            for view in self.views) <= self._budget
         for pending in self._ahead.values():
             pending.cancel()
         self._ahead.clear()
@@ -290,14 +291,6 @@ class Photos:
         for store in self._stores.values():
             store.close()
         self._stores.clear()
-
-    def _nbytes(self) -> int:
-        return sum(photo_array(view).nbytes(self.device.real) for view in self.views)
-
-    @property
-    def spare_bytes(self) -> float:
-        """What is left of the budget beside the photos of this level; 0 if they do not fit."""
-        return max(0.0, self._budget - self._nbytes())
 
     def expect(self, index: int) -> None:
         """Begin to read a photo that will be used soon."""

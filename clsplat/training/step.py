@@ -14,8 +14,8 @@ from clsplat.constants import (
     COUNT_SUM_PAIRS,
     COUNT_SUM_VISIBLE,
 )
-from clsplat.densify.grow import Candidates
-from clsplat.densify.round import MeasuredRound
+from clsplat.densify.grow import Candidates, Growth
+from clsplat.densify.round import Round
 from clsplat.densify.scores import taming_scores
 from clsplat.densify.statistics import Statistics
 from clsplat.device import Array, Graph
@@ -26,7 +26,6 @@ from clsplat.optimise.batch import BatchMean
 from clsplat.options import ScheduledOptions
 from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Gradients
-from clsplat.schedule.growth import Growth
 from clsplat.schedule.plan import Plan, Schedule
 from clsplat.training.capacity import FrameCapacity
 from clsplat.training.model import Model
@@ -306,7 +305,7 @@ class Step:
             model.frozen.download() > 0)
         rows = {field.name: model.rows[field.name].download() for field in FIELDS
                 if field.name in model.rows and not field.name.startswith("sh_")}
-        growth = schedule.grow(MeasuredRound(
+        growth = schedule.grow(Round(
             iteration, Candidates(rows, self.extent, self.options, plan.prunes_large), self.options,
             frozen, statistics.mean_gradient, lambda gradient: taming_scores(
                 self.renderer, model.rows, scoring_views(), plan.degree, self.options.ssim_weight,

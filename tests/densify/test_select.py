@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clsplat.densify.round import MeasuredRound
+from clsplat.densify.round import Round
 
 GRADIENT = np.array([3.0, 1.0, 2.0, 3.0, 0.5, np.nan, 2.0, 0.0])
 
@@ -15,7 +15,7 @@ def a_round(gradient, threshold=1.0, scores=None, small=None, prunes=None, rng=N
     candidates = SimpleNamespace(rows={}, is_small=small,
                                  prunes=nothing if prunes is None else prunes)
     options = SimpleNamespace(seed=0, grow_threshold=threshold)
-    made = MeasuredRound(1, candidates, options, nothing, lambda: gradient, lambda _: scores)
+    made = Round(1, candidates, options, nothing, lambda: gradient, lambda _: scores)
     made.rng = rng
     return made
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clsplat.densify.grow import Growth
 from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
 from clsplat.loss.exposure import Exposures
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule.constant import Constant
-from clsplat.schedule.growth import Growth
 from clsplat.schedule.plan import Plan, SceneFacts
 from clsplat.training.model import Model
 from clsplat.training.part import TrainingSample

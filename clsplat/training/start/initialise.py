@@ -89,9 +89,8 @@ def initial_gaussians(scene: Scene, options: TrainOptions,
 
 def planned_initial(facts: SceneFacts, options: SceneOptions) -> SceneFacts:
     """The facts with the number of gaussians in the file at which training begins, if it does."""
-    points = is_auto(options.init) or options.init in POINTS
-    # which a run that goes on no longer needs
-    if points or not os.path.isfile(options.init):
+    # a run that goes on no longer needs the file
+    if options.init in (AUTO, *POINTS) or not os.path.isfile(options.init):
         return facts
     return replace(facts, count=count_of(options.init))
 
