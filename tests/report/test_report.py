@@ -239,7 +239,7 @@ def test_a_run_is_called_by_scene_and_run_but_not_twice(scene, run, title, tmp_p
      "<code>clsplat train &#x27;a &lt;b&gt;&#x27;</code>"),
     ({"version": "0.1.0", "commit": None}, "clsplat 0.1.0"),  # of an older run
     ({"date": 7, "command": ["x"]}, "7 · <code>[&#x27;x&#x27;]</code>"),  # edited by hand
-    ({"command": "x" * 5000}, f"<code>{'x' * 1000} ...</code>"), ({}, None)])
+    ({}, None)])
 def test_the_head_says_when_by_what_and_how(made, line):
     html = page("title", "lead", made=made)
     assert f"<p class=facts>{line}</p>" in html if line else "class=facts" not in html
