@@ -114,7 +114,12 @@ class Camera:
         return -self.rotation.T @ self.translation
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera for an image of another size, pixels; each axis has its own scale."""
+        """The same camera for an image of another size; each axis has its own scale.
+
+        Parameters
+        ----------
+        width, height : pixels.
+        """
         sx, sy = width / self.width, height / self.height
         whole = None if self.whole is None else _four(np.multiply(self.whole, (sx, sy, sx, sy)))
         return replace(
@@ -123,15 +128,24 @@ class Camera:
             centre=(self.centre[0] * sx, self.centre[1] * sy), whole=whole)
 
     def cropped(self, left: int, top: int, right: int, bottom: int) -> Camera:
-        """The same camera for a part of its image, between these borders in pixels; right and
-        bottom are exclusive."""
+        """The same camera for a part of its image.
+
+        Parameters
+        ----------
+        left, top, right, bottom : borders of the part, pixels; the last two are exclusive.
+        """
         return replace(
             self, width=right - left, height=bottom - top,
             centre=(self.centre[0] - left, self.centre[1] - top),
             whole=_four(np.array(self.borders) - [left, top, left, top]))
 
     def turned(self, quarters: int) -> Camera:
-        """The same camera for its image after 0 to 3 clockwise quarter turns."""
+        """The same camera for its image after clockwise quarter turns.
+
+        Parameters
+        ----------
+        quarters : how many, 0 to 3.
+        """
         if not quarters:
             return self
         turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -159,7 +173,12 @@ class Camera:
         return self.resized(width, height)
 
     def shifted(self, offset: ArrayLike) -> Camera:
-        """The same camera in a world with another origin, float64[3], world."""
+        """The same camera in a world with another origin.
+
+        Parameters
+        ----------
+        offset : float64[3], world: the new origin.
+        """
         away = np.asarray(offset, np.float64)
         return replace(self, translation=self.translation + self.rotation @ away,
                        offset=self.offset + away)

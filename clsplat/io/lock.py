@@ -53,7 +53,7 @@ def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
             words = (f"process {os.getpid()} on {socket.gethostname()}, since "
                      f"{time.strftime('%Y-%m-%d %H:%M:%S')},")
             with suppress(OSError):  # a full disk must not keep a lock from being taken
-                path.with_name(HOLDER).write_text(words)
+                path.with_name(HOLDER).write_text(words, "utf-8")
         yield
     finally:
         if lock.lock_counter == 1:
@@ -76,5 +76,5 @@ def is_locked(folder: Path) -> bool:
 def holder(folder: Path) -> str:
     """Which process has locked a folder, in words, as far as it is known."""
     with suppress(OSError, ValueError):
-        return (Path(folder) / HOLDER).read_text() or "another process"
+        return (Path(folder) / HOLDER).read_text("utf-8") or "another process"
     return "another process"

@@ -280,7 +280,8 @@ def _fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similar
     """The similarity with the least squared distances between points [N, 3] (Umeyama 1991); None if
     they determine none."""
     places, positions = source - source.mean(axis=0), target - target.mean(axis=0)
-    if np.linalg.matrix_rank(positions.T @ places) < 2:
+    product = positions.T @ places
+    if np.linalg.matrix_rank(product, 1e-9 * np.linalg.norm(product)) < 2:
         return None
     rotation = Rotation.align_vectors(positions, places)[0].as_matrix()
     scale = float((positions * (places @ rotation.T)).sum() / (places**2).sum())

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from statistics import median
 from typing import NamedTuple
 
-import numpy as np
-
 MEDIAN_OF = 3  # differences, so that a single outlier decides nothing
 WINDOW = 6  # samples under the parabola of `release`
 SLOPE_SHARE, CURVATURE_SHARE = 0.05, 0.1  # of the level's steepest slope (`release`)
@@ -49,15 +47,29 @@ def judge(test: str, samples: Samples, rate: float, inverse_distance: float) -> 
 def _release(samples: Samples) -> Verdict:
     if len(samples) < WINDOW:
         return Verdict(None, 0.0, False)
-    values = np.array([value for _, value in samples])
+    values = [value for _, value in samples]
     spacing = (samples[-1][0] - samples[0][0]) / (len(samples) - 1)
-    # value, slope and curvature at the end of each window, per sample
-    fits = [np.polyfit(np.arange(1.0 - WINDOW, 1.0), values[end - WINDOW:end], 2) * (2, 1, 1)
+    fits = [_end_of_parabola(values[end - WINDOW:end])
             for end in range(WINDOW, len(values) + 1)]
-    curvature, slope, _ = map(float, fits[-1])
-    steepest = float(max(fit[1] for fit in fits))
+    slope, curvature = fits[-1]
+    steepest = max(s for s, _ in fits)
     # with a constant frequency, rounding would decide
-    flat = np.ptp(values[-WINDOW:]) <= 1e-9 * abs(values[-1])
+    flat = max(values[-WINDOW:]) - min(values[-WINDOW:]) <= 1e-9 * abs(values[-1])
     converged = flat or (0 <= slope < SLOPE_SHARE * steepest
                          and curvature <= CURVATURE_SHARE * steepest)
-    return Verdict(slope / spacing, SLOPE_SHARE * steepest / spacing, bool(converged))
+    return Verdict(slope / spacing, SLOPE_SHARE * steepest / spacing, converged)
+
+
+def _end_of_parabola(values: Sequence[float]) -> tuple[float, float]:
+    """(slope, curvature) per sample at the last of evenly spaced values, by least squares.
+
+    The parabola is a sum of orthogonal polynomials: 1, t and t^2 - mean(t^2), t = 0 in the middle.
+    """
+    half = (len(values) - 1) / 2
+    places = [number - half for number in range(len(values))]
+    squares = [t * t for t in places]
+    mean = sum(squares) / len(squares)
+    slope = sum(t * y for t, y in zip(places, values)) / sum(squares)
+    bend = (sum((s - mean) * y for s, y in zip(squares, values))
+            / sum((s - mean) ** 2 for s in squares))
+    return slope + 2 * bend * half, 2 * bend

@@ -143,17 +143,21 @@ def test_a_folder_of_photos_elsewhere(tmp_path):
         assert sizes(scene) == {(WIDTH, HEIGHT)} and "photos/" in scene.notes[0]
 
 
-def test_the_first_model_is_used_else_the_largest(tmp_path):
+def test_the_largest_model_is_used_and_told(tmp_path):
     folder = write_scene(tmp_path / "town")
+    assert read_scene(folder).notes == ()
     small = reconstruction()
     for frame in list(small.reg_frame_ids())[2:]:
         small.deregister_frame(frame)
     (folder / "sparse/1").mkdir()
     small.write_binary(str(folder / "sparse/1"))
+    assert read_scene(folder).notes == ()
     (folder / "sparse/0").rename(folder / "sparse/10")
-    assert len(read_scene(folder).views) == 4
+    scene = read_scene(folder)
+    assert len(scene.views) == 4 and scene.notes == ()
     (folder / "sparse/1").rename(folder / "sparse/0")
-    assert len(read_scene(folder).views) == 2
+    scene = read_scene(folder)
+    assert len(scene.views) == 2 and "sparse/10 is larger" in scene.notes[0]
 
 
 def test_notes_on_photos(tmp_path):

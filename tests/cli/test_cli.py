@@ -18,7 +18,7 @@ from clsplat.config.option import options_of
 from clsplat.errors import ClsplatError, DeviceError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io.georeference.files import write_georeference
+from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.models.ply import read_ply
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
@@ -170,6 +170,7 @@ def test_export_writes_a_whole_model_only(tmp_path):
     run, output = tmp_path / "run", tmp_path / "model.ply"
     folder = RunFolder.create(run)
     folder.write_options({})
+    write_orientation(run, (0.0, 0.0, 1.0))
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
     model = Gaussians.from_points(points, np.full((3, 3), 99, np.uint8))
     model.rows["sh_rest"][:] = 0.1  # harmonics that nothing uses would not be written

@@ -19,6 +19,9 @@ def stored(view):
         return (camera.width, camera.height), (*camera.focal, *camera.centre), [0.0] * 4, [0, 0], 0
     pinhole, rest = view.lens.parameters[:4], list(view.lens.parameters[4:])
     if "FISHEYE" in view.lens.model:
+        if view.lens.model == "THIN_PRISM_FISHEYE":
+            k1, k2, p1, p2, k3, k4, *_ = rest
+            return view.lens.size, pinhole, [k1, k2, k3, k4], [p1, p2], 1
         return view.lens.size, pinhole, rest, [0.0, 0.0], 1
     k1, k2, p1, p2, k3 = (*rest, 0.0)[:5]
     return view.lens.size, pinhole, [k1, k2, k3, 0.0], [p1, p2], 0
@@ -34,7 +37,7 @@ def put_photos(folder, scene):
 
 
 def write_opensfm(folder, scene, reference=None):
-    """reconstruction.json with one camera for all; the table that was written."""
+    """reconstruction.json with one camera for all, and tracks.csv; the table that was written."""
     put_photos(folder / "images", scene)
     (width, height), (fx, fy, cx, cy), k, p, fisheye = stored(scene.views[0])
     longer = max(width, height)
@@ -54,6 +57,10 @@ def write_opensfm(folder, scene, reference=None):
     if reference is not None:
         table["reference_lla"] = dict(zip(("latitude", "longitude", "altitude"), reference))
     write_json(folder / "reconstruction.json", [table])
+    if scene.observations is not None:
+        rows = [f"{scene.views[view].name}\t{point}\t0\t0.1\t0.2\t0.01\t1\t2\t3\t-1\t-1"
+                for point, view in scene.observations.tolist()]
+        (folder / "tracks.csv").write_text("\n".join(["OPENSFM_TRACKS_VERSION_v2", *rows, ""]))
     return table
 
 

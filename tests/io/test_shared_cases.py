@@ -15,9 +15,9 @@ HOLDS = [
     (find_photos, "photos_odm_mask", 6), (find_photos, "photos_realityscan_mask", 6),
     (find_photos, "photos_masks_folder_same_name", 6), (read_model, "ply/inf_opacity.ply", 50),
     (read_model, "ply/neginf_scale.ply", 50), (read_model, "ply/nan2.ply", 48),
-    (read_model, "sog2_dir.sog", 50), (read_model, "sog1.sog", "SOG of version 1"),
-    (read_model, "sog_v2_folder", "unknown suffix"), (read_model, "v1_sh0.spz", "not 1"),
-    (read_model, "v4_plain.spz", "its table of 0 streams"),
+    (read_model, "sog2_dir.sog", 50), (read_model, "sog1.sog", "another version"),
+    (read_model, "sog_v2_folder", 50), (read_model, "sog_v2_folder/meta.json", 50),
+    (read_model, "v4_plain.spz", 50), (read_model, "v1_sh0.spz", "not 1"),
     (read_scene, "transforms_frame_angle", 4), (read_scene, "tracks_without_observations", 6),
     (read_scene, "transforms_opencv_k4", "coefficient k4"),
     (read_scene, "images_txt_one_line_each", "images.txt: line 2")]

@@ -13,7 +13,7 @@ from clsplat.georeference import Georeference
 from clsplat.io.models.gltf import read_glb, write_glb
 from clsplat.io.models.ply import gaussians_of, read_vertices, write_ply
 from clsplat.io.models.points import is_cloud, ply_cloud, read_las, write_las
-from clsplat.io.models.sog import read_sog, write_sog
+from clsplat.io.models.sog import META, read_sog, write_sog
 from clsplat.io.models.spz import read_spz, write_spz
 from clsplat.io.models.values import Notes
 
@@ -65,7 +65,7 @@ def read_with_notes(path: str | Path, offset: ArrayLike | None = None,
 
     Parameters
     ----------
-    path : a file with one of SUFFIXES.
+    path : a file with one of SUFFIXES, or the meta.json of an unpacked SOG.
     offset : float64[3], original coordinates of the origin of the local ones; None: the one that
         the file records.
     georeference : of the scene for which it is read: LAS and LAZ hold map coordinates, which
@@ -119,8 +119,10 @@ def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] 
 
 def format_of(path: str | Path) -> Format:
     """The format that the suffix of a file selects; InputError if it is unknown."""
-    found = FORMATS.get(Path(path).suffix.lower())
+    path = Path(path)
+    unpacked = path.name == META or (path / META).is_file()
+    found = FORMATS[".sog"] if unpacked else FORMATS.get(path.suffix.lower())
     if found is None:
         known = "; ".join(f"{suffix} ({kind.what})" for suffix, kind in FORMATS.items())
-        raise InputError(f"{path}: unknown suffix '{Path(path).suffix}'; known: {known}")
+        raise InputError(f"{path}: unknown suffix '{path.suffix}'; known: {known}")
     return found

@@ -9,6 +9,7 @@ import json
 import warnings
 import zipfile
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -35,7 +36,7 @@ from clsplat.io.models.values import (
 from clsplat.io.photos.images import encode_image
 from clsplat.io.photos.photo import opened
 from clsplat.io.records import object_of
-from clsplat.io.regular import check_expansion, check_rows, opened_archive
+from clsplat.io.regular import check_expansion, check_rows, opened_archive, read_regular
 
 META, ORIGIN, KIND = "meta.json", "clsplat_origin", "a SOG file of version 2"
 MEANS, SCALES, QUATERNIONS, COLOURS, HARMONICS = "means", "scales", "quats", "sh0", "shN"
@@ -94,15 +95,22 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
 
 
 def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, Notes]:
-    """Read a SOG file; see `models.read_with_notes`."""
-    with reading(path, KIND), opened_archive(path) as (archive, members):
+    """Read a SOG file, or a folder of its parts, named by itself or by its meta.json; see
+    `models.read_with_notes`."""
+    parts = path if path.is_dir() else path.parent if path.name == META else None
+    source: AbstractContextManager[Any] = (
+        opened_archive(path) if parts is None else nullcontext((None, {})))
+    with reading(path, KIND), source as (archive, members):
         folder = min((name for name in members if PurePosixPath(name).name == META), key=len,
                      default=META).removesuffix(META)  # some programs zip their folder
 
         def read(name: str) -> bytes:
+            if archive is None:
+                return read_regular(Path(parts or "", PurePosixPath(name).name))
             member = members[folder + name]
             with archive.open(member) as stream:
-                return stream.read(member.file_size + 1)
+                content: bytes = stream.read(member.file_size + 1)
+            return content
 
         meta = object_of(read(META))
         if meta.get("version", 1) != 2:

@@ -128,7 +128,8 @@ def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
     count, widths = header.number, header.widths
     sizes = [count * width for width in widths]
     check_rows(len(data), count, widths[-1] // 3)
-    contents = (_streams if header.version == WITH_STREAMS else _stream)(data, header, sizes)
+    in_streams = header.version == WITH_STREAMS and (header.streams or not count)
+    contents = (_streams if in_streams else _stream)(data, header, sizes)
     position, opacity, colour, scale, rotation, sh = (
         np.frombuffer(content, np.uint8).reshape(count, width)
         for content, width in zip(contents, widths))
@@ -160,10 +161,13 @@ def _header(data: bytes) -> _Header:
 def _stream(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
     """The parts of a file that is one gzip stream."""
     size = sum(sizes)
-    stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
-    content = stream.decompress(data, HEADER.size + size + 1)[HEADER.size:]
-    # at the end the checksum was compared
-    if len(content) != size or not stream.eof:
+    ended = data.startswith(MAGIC)  # it was unpacked on its way, as servers do
+    if not ended:
+        stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
+        data = stream.decompress(data, HEADER.size + size + 1)
+        ended = stream.eof  # where the checksum was compared
+    content = data[HEADER.size:]
+    if len(content) != size or not ended:
         raise ValueError(f"its {header.number} gaussians have another size")
     return [content[end - size:end] for end, size in zip(np.cumsum(sizes), sizes)]
 

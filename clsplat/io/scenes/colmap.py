@@ -47,6 +47,12 @@ def read_colmap(folder: Path, images: str = "") -> Scene:
     photos = photo_folder(folder, images)
     scene = checked_scene(model, folder.resolve().name, arrays,
                           [photos / name for name in arrays["files"]])
+    largest = max(_numbered_models(folder), key=_bytes, default=model)
+    if model.parent.name == "sparse" and _bytes(largest) > _bytes(model):
+        scene = replace(scene, notes=(
+            f"the model sparse/{model.name} is used, and sparse/{largest.name} is larger: COLMAP "
+            "has split the scene; to train the larger part, move it to sparse/0 of a folder of its "
+            "own",))
     may_be_smaller = bool(images) or photos.name != IMAGES
     return checked_photos(scene, photos if may_be_smaller else None).recentred()
 
@@ -135,21 +141,30 @@ def read_model(folder: Path, may_be_empty: Collection[str] = ()
 
 def _find_model(folder: Path) -> Path:
     """Find the sparse model of a scene folder: sparse/0, sparse, the folder itself, or else the
-    largest below sparse/, by its file of images."""
+    model with the most images below sparse/."""
     for model in (folder / "sparse" / "0", folder / "sparse", folder):
         if _is_model(model):
             return model
-    others = [model for model in sorted((folder / "sparse").glob("*"))
-              if model.name.isdecimal() and _is_model(model)]
+    others = _numbered_models(folder)
     if others:
-        return max(others, key=lambda model: sum(
-            path.stat().st_size for path in model.glob("images.*")))
+        return max(others, key=_bytes)
     raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; make a "
                      "scene with `clsplat sfm` (docs/guide/photos.md), or give another folder")
 
 
 def _is_model(folder: Path) -> bool:
     return any((folder / f"{part}.{kind}").exists() for part in PARTS for kind in ("bin", "txt"))
+
+
+def _numbered_models(folder: Path) -> list[Path]:
+    """The models sparse/N of a scene folder, by number."""
+    return sorted((path for path in (folder / "sparse").glob("*")
+                   if path.name.isdecimal() and _is_model(path)), key=lambda path: int(path.name))
+
+
+def _bytes(model: Path) -> int:
+    """The size of a model's file of images, by which the largest of several is found."""
+    return max((path.stat().st_size for path in model.glob("images.*")), default=0)
 
 
 def _part_of(model: Path, part: str, may_be_empty: bool) -> Any:

@@ -31,7 +31,7 @@ COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")  # as files name
 # those of COLMAP's camera models, after focal length and centre: factors of r^2, r^4, ... (k), of
 # tangential distortion (p), and of the polynomial that divides (d)
 TERMS = {"PINHOLE": "", "OPENCV": "k1 k2 p1 p2", "FULL_OPENCV": "k1 k2 p1 p2 k3 d1 d2 d3",
-         "OPENCV_FISHEYE": "k1 k2 k3 k4"}
+         "OPENCV_FISHEYE": "k1 k2 k3 k4", "THIN_PRISM_FISHEYE": "k1 k2 p1 p2 k3 k4 s1 s2"}
 BROWN = ("PINHOLE", "OPENCV", "FULL_OPENCV")
 FISHEYE = ("OPENCV_FISHEYE",)
 GREY = 128  # of points without colours
@@ -47,10 +47,12 @@ LEAST_ANGLE = np.radians(1.0)  # between two views of a sampled point
 
 
 class Cloud(NamedTuple):
-    """The sparse points of a data set or a project: float64[N, 3], world, and uint8[N, 3]."""
+    """The sparse points of a data set or a project: float64[N, 3], world, and uint8[N, 3]; and in
+    which photos they are, int[M, 2], rows (point, photo), if that is known."""
 
     positions: NDArray[np.float64]
     colours: NDArray[np.uint8]
+    observations: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,8 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
         "sizes": np.array([each.size for each in optics])}
     if cloud is not None:
         arrays |= {"points": cloud.positions, "colours": cloud.colours}
+        if cloud.observations is not None:
+            arrays["observations"] = cloud.observations
     arrays = undistorted_model(path, arrays, [each.model for each in optics])
     by_name = {photo.name: photo for photo in photos}
     used = [by_name[name] for name in arrays["files"]]

@@ -143,5 +143,6 @@ def _optics(sensor: Element) -> Optics:
     focal = value["f"] + value["b1"], value["f"]
     centre = width / 2 + value["cx"], height / 2 + value["cy"]
     value["p1"], value["p2"] = value["p2"], value["p1"]
-    return optics((width, height), focal, centre, BROWN if kind == "frame" else FISHEYE,
+    return optics((width, height), focal, centre,
+                  BROWN if kind == "frame" else (*FISHEYE, "THIN_PRISM_FISHEYE"),
                   {key: value[key] for key in DISTORTION})

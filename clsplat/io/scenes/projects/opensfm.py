@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from clsplat.io.fields import number, numbers, pixels, reading, table, tables
@@ -36,7 +37,7 @@ from clsplat.scene import Scene
 # ODM keeps OpenSfM's own result beside one that it has moved onto its map
 NAMES = ("reconstruction.topocentric.json", "reconstruction.json")
 ODM = "opensfm"  # the folder in a project of ODM
-REFERENCE, MOVED = "reference_lla.json", "exported_geocoords.txt"
+REFERENCE, TRACKS, MOVED = "reference_lla.json", "tracks.csv", "exported_geocoords.txt"
 COORDINATES = ("latitude", "longitude", "altitude")
 # projection_type -> models of COLMAP
 MODELS = {"perspective": BROWN, "simple_radial": BROWN, "radial": BROWN, "brown": BROWN,
@@ -55,7 +56,7 @@ def find_opensfm(path: Path) -> Path | None:
 def read_opensfm(path: Path, images: str = "") -> Scene:
     """Read the scene of a reconstruction, the largest if there are several.
 
-    Photos are in images/ of the project.
+    Photos are in images/ of the project; observations are those of tracks.csv, if it is there.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ def read_opensfm(path: Path, images: str = "") -> Scene:
                                   for key in ("shots", "cameras", "points"))
         photos = [_photo(shots[shot], cameras, *found)
                   for shot, found in zip(shots, files.found(shots))]
-        cloud = _points(points)
+        cloud = _points(points, path.parent, list(shots))
         reference = _reference(path, record)
         place = reference and OnEarth(topocentric(*reference), "", "OpenSfM")
         return project_scene(path, files, photos, cloud, place=place, z_is_up=True, notes=notes)
@@ -118,13 +119,24 @@ def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> Optics:
     return optics(size, focal, centre, MODELS[kind], {key: value(key) for key in COEFFICIENTS})
 
 
-def _points(points: Mapping[str, Any]) -> Cloud | None:
+def _points(points: Mapping[str, Any], folder: Path, shots: list[str]) -> Cloud | None:
     if not points:
         return None
     rows = [[numbers(table(point, f"point {name[:40]}").get(key), 3, f"{key} of point {name[:40]}")
              for key in ("coordinates", "color")] for name, point in points.items()]
     positions, colours = np.array(rows).transpose(1, 0, 2)
-    return Cloud(positions, colours.clip(0, 255).round().astype(np.uint8))
+    tracks = folder / TRACKS
+    return Cloud(positions, colours.clip(0, 255).round().astype(np.uint8),
+                 _observations(tracks, list(points), shots) if tracks.is_file() else None)
+
+
+def _observations(path: Path, points: list[str], shots: list[str]) -> NDArray[np.int64]:
+    """int64[M, 2], rows (point, shot): columns 1 (shot) and 2 (point) of tracks.csv."""
+    point, shot = ({name: row for row, name in enumerate(names)} for names in (points, shots))
+    lines = read_regular(path).decode("utf-8", "replace").split("\n")
+    rows = [(point[row[1]], shot[row[0]]) for row in (line.split("\t") for line in lines)
+            if len(row) > 2 and row[0] in shot and row[1] in point]
+    return np.array(rows, np.int64).reshape(-1, 2)
 
 
 def _reference(path: Path, record: Mapping[str, Any]) -> tuple[float, float, float] | None:

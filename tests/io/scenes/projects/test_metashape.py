@@ -16,8 +16,8 @@ from tests.data.projects import texts, write_metashape
 from tests.data.tiny_model import reconstruction, write_scene
 
 LENS = (40.0, 40.5, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0)
-FISHEYE = (40.0, 40.5, 23.0, 19.0, -0.1, 0.02, 0.01, -0.003)
-MODELS = {"PINHOLE": None, "FULL_OPENCV": LENS, "OPENCV": LENS[:8], "OPENCV_FISHEYE": FISHEYE}
+FISHEYE = (40.0, 40.5, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, -0.003, 0.0, 0.0)
+MODELS = {"PINHOLE": None, "FULL_OPENCV": LENS, "OPENCV": LENS[:8], "THIN_PRISM_FISHEYE": FISHEYE}
 GEOGRAPHIC = ('GEOGCS["WGS 84",DATUM["World Geodetic System 1984",SPHEROID["WGS 84",6378137,'
               '298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.01745329251994328],'
               'AUTHORITY["EPSG","4326"]]')
@@ -48,7 +48,7 @@ def test_camera_models_are_those_of_the_manual(tmp_path, kind):
     from clsplat.io.scenes.projects.metashape import _optics
 
     values = {"f": 500.0, "cx": 3.0, "cy": -2.0, "b1": 4.0, "k1": -0.1, "k2": 0.02, "k3": 0.01,
-              **({"k4": -0.004} if kind == "fisheye" else {"p1": 2e-3, "p2": -3e-3})}
+              "p1": 2e-3, "p2": -3e-3, **({"k4": -0.004} if kind == "fisheye" else {})}
     sensor = ElementTree.fromstring(
         f'<sensor type="{kind}"><resolution width="640" height="480"/><calibration>'
         + "".join(f"<{key}>{value}</{key}>" for key, value in values.items())

@@ -34,6 +34,7 @@ def test_a_reconstruction(tmp_path, scene):
     write_opensfm(tmp_path, scene)
     read = read_scene(tmp_path)
     assert_same(read, scene)
+    assert np.array_equal(read.observations, scene.observations)
     assert read.georeference is None and np.array_equal(read.up, (0, 0, 1))
     assert_same(read_scene(tmp_path / "reconstruction.json"), scene)
 
