@@ -119,8 +119,6 @@ def test_a_user_without_a_home(monkeypatch):
     assert (folder / "a.icd").read_text("utf-8") == "liba.so\n"
 
 
-# --- what can be read off the code
-
 def foreign(path, text):
     """Lines of a module that use what not every system has, or the system's own text encoding."""
     nodes = list(ast.walk(ast.parse(text)))

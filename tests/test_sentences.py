@@ -45,8 +45,6 @@ OPTION = re.compile(r"(?<![\w/-])--[a-z][a-z0-9_-]*")
 PLACEHOLDER = "X"
 
 
-# --- what is said, and where
-
 def mentions(page, text):
     """(where, words as in a shell) of every code span and line of commands of a Markdown page."""
     blocks, prose = [], []
@@ -103,8 +101,6 @@ def help_texts():
         for param in command.params:
             yield f"clsplat {name} {param.name}", getattr(param, "help", None) or ""
 
-
-# --- is it so
 
 @cache
 def options_of(name):
@@ -232,8 +228,6 @@ def lies(where, text, users):
         if said:
             yield f"{place}: {said}"
 
-
-# --- the tests
 
 @pytest.mark.parametrize("page", PAGES)
 def test_pages(page):

@@ -82,7 +82,7 @@ def summary(result: dict[str, Any]) -> str:
 @click.command()
 @click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path),
-              help="Folder for compare.html, .png and .json; default: the common folder of RUNS.")
+              help="Folder for compare.html and compare.json; default: the common folder of RUNS.")
 @click.option("--psnr", "levels", multiple=True, type=FiniteRange(min=0),
               help="Colour-corrected PSNR, dB, whose training times to list; repeatable; default: "
               "three chosen from the data.")

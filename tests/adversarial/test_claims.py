@@ -127,8 +127,6 @@ def test_counts_of_a_colmap_model(tmp_path, name):
     refused(read_scene, folder, f"{name}.bin")
 
 
-# --- files that hold more than they claim: read into memory as a whole by an earlier version
-
 def lying(path, members, claims, method=zipfile.ZIP_DEFLATED):
     """A zip whose headers claim other sizes than its members have."""
     with zipfile.ZipFile(path, "w", method, compresslevel=1) as archive:

@@ -123,8 +123,6 @@ def test_the_preview_has_the_lines_of_the_file(item_device, tmp_path, monkeypatc
     assert (np.concatenate(shown["lines"]).max(axis=0) <= shown["shape"][::-1]).all()
 
 
-# --- words that no one should give, or that few do
-
 COMPOUND = "EPSG:32633+5773"
 MIDDLE = made.OFFSET + made.UTM.offset
 NEAR = tuple(str(side) for side in (MIDDLE[0] - 4, MIDDLE[1] - 4, MIDDLE[0] + 4, MIDDLE[1] + 4))

@@ -57,8 +57,6 @@ def trained_block(folder, block, device, **changes):
                    parts=block.parts(options_of(**changes).exposure == "on"))
 
 
-# --- growth
-
 @pytest.fixture
 def rounds(monkeypatch):
     """Filled by trainings: of each round, the rows, and which gaussians grew and went."""
@@ -152,8 +150,6 @@ def test_the_schedule_is_asked_about_the_block_only(item_device, city, tmp_path,
         assert 0 < above <= count
 
 
-# --- exposures
-
 @pytest.mark.slow
 def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, city, tmp_path):
     # longer than an epoch: they are recentred on the way
@@ -181,8 +177,6 @@ def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, ci
         assert np.allclose(after[name].vignetting, given.vignetting, atol=1e-6)
 
 
-# --- options
-
 @pytest.mark.parametrize("schedule", OURS)
 def test_a_coarse_run_has_smaller_photos(schedule):
     chosen = resolve({}, {"schedule": schedule, "coarse": True})
@@ -202,8 +196,6 @@ def test_blocks_follow_the_coarse_run(tmp_path):
     assert (options.coarse, options.downscale, options.iterations) == (False, 1, 9)
     assert options.sh_every == 50 and options.vignetting == "off"
 
-
-# --- the command
 
 VIEWS = list(range(1, 32, 2))
 FIRST = 2000  # gaussians

@@ -62,9 +62,6 @@ def run(given, number=1, devices=(), here=None, **rest):
         return workers.run(given, here, **rest)
 
 
-# --- in this process
-
-
 def test_jobs_run_in_order_and_once(tmp_path):
     given, called, began, seen = some_jobs(tmp_path, 3), [], [], []
 
@@ -131,9 +128,6 @@ def test_what_needs_a_job_that_failed_is_not_tried(tmp_path):
     assert [outcome.job.name for outcome in seen] == ["001"] and str(failed.error) == "no photos"
     assert [(o.ok, o.tries, str(o.error)) for o in (first, third)] == [
         (False, 0, "it waits for 001"), (False, 0, "it waits for 000")]
-
-
-# --- in processes of this machine
 
 
 @pytest.mark.slow
@@ -203,9 +197,6 @@ def is_alive(process):
         return Path(f"/proc/{process}/stat").read_text().split()[2] != "Z"
     except (ProcessLookupError, FileNotFoundError):
         return False
-
-
-# --- on a Dask cluster
 
 
 def test_without_dask_the_cure_is_named(tmp_path, monkeypatch):

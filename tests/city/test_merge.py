@@ -133,9 +133,6 @@ def test_harmonics_are_brought_to_the_highest_degree(city, scene):
     assert (gaussians.sh_rest[-shares[3].gaussians - 1, 3:] != 0).any()
 
 
-# --- what is missing
-
-
 def broken(city, scene, fault):
     if fault == "missing":
         shutil.rmtree(city.block(2).path)
@@ -197,9 +194,6 @@ def test_a_cell_without_points_may_be_empty(city, scene):
     merged = merge(city, scene)
     merged.check()
     assert [share.gaussians for share in merged.shares] == [2000, 0, 0, 0]
-
-
-# --- cities that are none
 
 
 @pytest.mark.parametrize("name, number", [("007", 7), ("0000", 0), ("003", 2)])

@@ -42,9 +42,6 @@ QUARTERS = [([-INF, -INF], [0, 0]), ([0, -INF], [INF, 0]), ([-INF, 0], [0, INF])
 BISECTED = [([-INF, -INF], [-0.2, INF]), ([-0.2, -INF], [INF, 0.4]), ([-0.2, 0.4], [INF, INF])]
 
 
-# --- borders
-
-
 @pytest.mark.parametrize("cells, pairs", [
     (QUARTERS, {(0, 1), (2, 3), (0, 2), (1, 3)}), (BISECTED, {(0, 1), (0, 2), (1, 2)}),
     ([([-INF, -INF], [INF, INF])], set())])
@@ -65,9 +62,6 @@ def test_a_strip_is_owned_and_reached_by_its_two_blocks():
         assert all(reached[block][inside].all() for block in border.blocks)
     between = find_borders(partition)[0]  # sides of 0.8 and 1.2
     assert between.high[0] - between.low[0] == pytest.approx(2 * 0.1 * 0.8)
-
-
-# --- the report, on the sample city with a model that is known
 
 
 @pytest.fixture(scope="module")

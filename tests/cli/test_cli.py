@@ -252,8 +252,6 @@ def test_pack_replaces_nothing(tmp_path):
     assert not (tmp_path / "other").exists()
 
 
-# --- what `--help` shows, and how soon
-
 def test_help_lists_every_command_under_a_heading():
     result = clsplat_("--help")
     assert result.exit_code == 0

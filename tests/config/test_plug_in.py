@@ -110,8 +110,6 @@ def test_an_unknown_schedule_names_those_that_are_there(package):
     assert done.returncode == 2 and "mcmc, halves, wrong" in done.stderr
 
 
-# --- parts
-
 LIGHT = "from clsplat import Part\nclass P(Part):\n    name = 'p'\n"
 PART_FAILS = {
     "class P:\n    pass\n": "is not a subclass of clsplat.Part",

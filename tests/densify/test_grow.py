@@ -143,9 +143,6 @@ def test_pruning_one_split_does_not_move_the_children_of_another():
     assert np.array_equal(less, whole[[0, 1, 4, 5]])
 
 
-# --- spheres
-
-
 def with_spheres(rows, distances, max_offset=1.0, axis=0):
     """The rows with anchors at these distances along an axis, and distinct max_offsets."""
     anchors = rows["positions"].copy()

@@ -45,9 +45,6 @@ def city():
     return read_scene(CITY).reduced(4)
 
 
-# --- the simulated schedule
-
-
 def course_of(count, pixels, size=(512, 382), **options):
     options = scaled_steps(resolve({}, options))
     facts = SceneFacts(size, count, 20.0, tuple, pixels)
@@ -112,9 +109,6 @@ def test_photos_are_compared_while_growing_only():
     segments = course_of(4400, 10**6, iterations=3000, reproject="on")
     assert {s.regularises for s in segments} == {True, False} and not segments[-1].regularises
     assert not any(s.regularises for s in course_of(4400, 10**6, iterations=3000))
-
-
-# --- memory
 
 
 PARTS = [{"poses": "on"},
@@ -194,9 +188,6 @@ def test_a_run_takes_what_was_foretold(tmp_path, item_device, monkeypatch, optio
     assert 0.2 < forecast.seconds / steps[-1]["train_seconds"] < 5
 
 
-# --- time
-
-
 def test_three_costs_are_found_again():
     cost = (2e-3, 3e-8, 4e-7)
     made = [(image, count, np.dot(cost, (1, image, count)))
@@ -264,9 +255,6 @@ def test_photos_that_are_reduced_are_named():
     assert size_note(small, options) is None
     assert size_note(large, resolve({}, {"max_resolution": 0})) is None
     assert size_note(large, resolve({}, {"downscale": 4.0})) is None  # -r does it already
-
-
-# --- the command
 
 
 def clsplat_(*arguments):

@@ -93,8 +93,6 @@ def test_flip_is_that_of_srgb_images(photo):
     assert flip(np.where(valid[..., None], photo, 0), photo, valid) == 0
 
 
-# --- LPIPS
-
 @pytest.fixture
 def onnxruntime():
     return pytest.importorskip("onnxruntime", reason="the extra [lpips] is not installed")
@@ -130,8 +128,6 @@ def test_without_onnxruntime_the_cure_is_named(monkeypatch):
     with pytest.raises(InputError, match=r"pip install onnxruntime"):
         Lpips(NETWORK)
 
-
-# --- the colour fit
 
 def quadratic(image):
     """A map like a change of exposure and white balance, that mixes all ten features."""

@@ -87,9 +87,6 @@ def test_pairs_that_do_not_fit_a_buffer_come_in_bands(device, monkeypatch):
     assert_same(expected, actual)
 
 
-# --- memory
-
-
 def test_memory_that_is_refused_is_an_error_of_its_own(float_device, monkeypatch):
     def refuse(size):
         raise cl.MemoryError("clCreateBuffer failed: MEM_OBJECT_ALLOCATION_FAILURE")
@@ -97,9 +94,6 @@ def test_memory_that_is_refused_is_an_error_of_its_own(float_device, monkeypatch
     monkeypatch.setattr(float_device, "_new_buffer", refuse)
     with pytest.raises(OutOfDeviceMemory, match="no memory for 3 MiB more.*--max-gaussians"):
         float_device.zeros((3 << 18,))
-
-
-# --- the choice
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -123,9 +123,6 @@ def test_more_pairs_than_32_bits_count(float_device, monkeypatch):
                    float_device.upload(order.astype(np.uint32)), size, size, limit=1000)
 
 
-# --- rooms
-
-
 def in_a_room(device, monkeypatch, rows, order, room, counts=None, size=(61, 37)):
     """(Pairs, counts on the host, the two lists with slots past their end, which must stay)."""
     spare, empty, made = 40, device.empty, []

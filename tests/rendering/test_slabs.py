@@ -96,9 +96,6 @@ def test_what_the_stop_leaves_out_is_within_its_bound(device, name):
             assert error.mean() <= 1e-5
 
 
-# --- parts
-
-
 @pytest.mark.parametrize("name", sorted(set(cases.SCENES) - {"empty"}))
 def test_what_is_drawn_is_in_a_part_that_is_seen(item_device, name):
     """Each gaussian has its own box, so the bound is tried where it is tightest."""
@@ -112,9 +109,6 @@ def test_what_is_drawn_is_in_a_part_that_is_seen(item_device, name):
                                 *size_of(case), 0)
         seen = {piece.start for piece in Parts.of(rows, 1).seen(camera, case["near"])}
         assert set(frame.visible.download()) <= seen
-
-
-# --- the choice
 
 
 def test_a_model_that_fits_is_rendered_in_one_piece(float_device, monkeypatch):

@@ -44,8 +44,6 @@ def refused(call, *words):
         assert word in str(caught.value)
 
 
-# --- groups
-
 def test_runs_that_differ_by_seed_are_one_group():
     runs = [trained("b", seed=1, schedule="sig", stop_at=5, device="gpu", eval_every=9),
             trained("a", seed=0, schedule="sig"), trained("c", seed=0, schedule="dash")]
@@ -85,8 +83,6 @@ def test_options_that_a_schedule_does_not_use_are_left_out():
     assert ("sphere", "yes", "-", "no") in different.rows
 
 
-# --- fairness
-
 @pytest.mark.parametrize("change, words", [
     ({"fingerprint": "cd" * 32, "scene": "/data/barn"},
      "different scenes, so no score says which is better (scene: barn (cdcdcdcd) / city"),
@@ -108,8 +104,6 @@ def test_a_fair_comparison_has_no_warning():
     assert warnings(grouped([trained("a", schedule="sig"), trained("b", schedule="dash"),
                              ])) == []
 
-
-# --- numbers
 
 def test_numbers():
     groups = grouped([trained("a", schedule="sig"),
@@ -177,8 +171,6 @@ def test_levels_from_the_data(best, levels):
     assert levels_from(groups) == levels
 
 
-# --- folders and pages
-
 @pytest.fixture
 def folder(tmp_path):
     for schedule in METHODS:
@@ -227,8 +219,6 @@ def test_the_command(folder):
     last = RunFolder.open(folder / "sig.1").records()[-1]
     assert run["psnr_cc"] == last["psnr_cc"] and run["train_seconds"] == last["train_seconds"]
 
-
-# --- campaigns
 
 def test_combinations():
     wanted = combinations({"levels": [4, 2, 1]}, {"seed": 3, "taming_budget": 9.0},

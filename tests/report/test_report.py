@@ -165,8 +165,6 @@ def test_the_lead_says_what_was_trained():
     assert "has no records" in lead({}, [])
 
 
-# --- what surrounds the figures
-
 def test_a_figure_that_fails_is_a_line(tmp_path, monkeypatch):
     def fails(records):
         raise RuntimeError("no <font>\nmore of it")

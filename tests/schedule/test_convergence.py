@@ -30,8 +30,6 @@ def saturating(tau, until=20_000, noise=0.0, seed=0):
     return 10 * (1 - np.exp(-t / tau)) + 10 * noise * rng.normal(size=len(t))
 
 
-# --- few samples
-
 @pytest.mark.parametrize("test, least", [
     ("robust", MEDIAN_OF + 1), ("paper", 2), ("release", WINDOW)])
 def test_too_few_samples_decide_nothing(test, least):
@@ -51,8 +49,6 @@ def test_a_sample_that_is_not_finite_counts_as_none(test):
     assert judge(test, spoilt, RATE, 0.01) == clean
     assert judge(test, [(100, np.nan)] * 9, RATE, 0.01).slope is None
 
-
-# --- slopes and thresholds
 
 @pytest.mark.parametrize("spacing", [1, 37, 100])
 def test_straight_lines(spacing):
@@ -86,8 +82,6 @@ def test_the_unit_of_length_does_not_matter(unit):
                 assert there.slope == pytest.approx(here.slope / unit, abs=1e-12 / unit)
 
 
-# --- what is not plain growth
-
 @pytest.mark.parametrize("test", TESTS)
 @pytest.mark.parametrize("value", [0.1, 7.3, 123456.7])
 def test_a_constant_is_flat(test, value):
@@ -114,8 +108,6 @@ def test_a_step_among_the_differences_decides_nothing(place, jump):
         values[-place:] += jump
         assert judge("robust", sampled(values), RATE, 1.0).converged is converged
 
-
-# --- whole levels
 
 @pytest.mark.parametrize("tau", [100, 300, 1000, 3000])
 @pytest.mark.parametrize("noise", [0.0, 0.001, 0.005])

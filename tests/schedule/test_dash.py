@@ -50,8 +50,6 @@ def test_it_is_known_by_name_and_grows_the_highest():
     assert OPTIONS.densify_until == 27000
 
 
-# --- spectra
-
 @pytest.mark.parametrize("width, height", [(48, 40), (33, 17), (7, 40), (16, 16), (1, 1)])
 def test_a_centred_window_of_the_spectrum(width, height):
     photo = a_photo(width, height)
@@ -63,8 +61,6 @@ def test_a_centred_window_of_the_spectrum(width, height):
         expected = whole[:, reach <= k / 1024 + 1e-12].sum()
         assert abs(spectrum[k] - expected) < 1e-4 * spectrum[-1], f"{k} / 1024"
 
-
-# --- resolution
 
 def sampled(photos):
     """The resolution curve by bisection on every window, as published: factors and starts."""
@@ -112,8 +108,6 @@ def test_the_factor_is_whole_and_changes_at_rounds_of_growth_only(plans):
             assert plans[steps + 1].level == int(schedule.scale(steps + 1))
 
 
-# --- what else a step is told
-
 def test_rounds_and_resets(plans):
     rounds = [i + 1 for i, plan in enumerate(plans) if plan.grows]
     assert rounds == [i + 1 for i in range(600, 27000, 100)]
@@ -121,8 +115,6 @@ def test_rounds_and_resets(plans):
         i + 1 for i in range(3000, 27000, 3000)]
     assert not any(plan.prunes_large for plan in plans)
 
-
-# --- number of gaussians
 
 def grown(schedule, above, keeps=1.0):
     """Counts after each round of growth, and the factors in use, if each round does as it may."""
@@ -175,8 +167,6 @@ def test_the_final_number_follows_the_demand():
         assert schedule.final_growth == expected
     assert expected > 10**6
 
-
-# --- checkpoints
 
 @pytest.mark.slow
 def test_a_resumed_schedule_goes_on_as_if_it_had_never_stopped():

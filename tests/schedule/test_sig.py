@@ -33,8 +33,6 @@ def test_one_level_is_all_there_is():
     assert schedule.last and schedule.latest is None
 
 
-# --- when levels end
-
 def test_each_level_ends_once_it_has_grown_and_converged():
     schedule = sig(rounds=5, iterations=20_000)
     taken = drive(schedule)
@@ -113,8 +111,6 @@ def test_published_tests_are_not_guarded(preset):
     assert first["since"] == needed * schedule.observe_every
 
 
-# --- growth
-
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("iterations", [1000, 12000])
 @pytest.mark.parametrize("count", [1, 5, 12])
@@ -176,8 +172,6 @@ def test_rounds_left_over_are_carried_by_the_release_only(preset):
         assert grown[2] == count and schedule.carried == 0
 
 
-# --- the rest of a plan
-
 def test_opacities_are_reset_while_growing_only():
     schedule = sig(reset_every=300)
     for iteration, plan, _ in drive(schedule):
@@ -209,8 +203,6 @@ def test_as_published_it_decays_over_the_whole_run(preset):
     for iteration, plan, _ in drive(sig(preset=preset)):
         assert plan.decay == pytest.approx((iteration - 1) / 6000)
 
-
-# --- what is still to come, and going on
 
 @pytest.mark.parametrize("frequency", [flat, rising])
 def test_what_is_ahead(frequency):

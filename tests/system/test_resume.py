@@ -114,8 +114,6 @@ def test_other_ways_to_train_resume_as_well(item_device, city, tmp_path, options
             for name, each in corrected.items())
 
 
-# --- schedules that look at what they train
-
 @pytest.mark.slow
 def test_levels_stopped_and_resumed(item_device, city, tmp_path, levelled):
     """Growth follows a step; a level is decided after one step and begins with the next."""
@@ -149,9 +147,6 @@ def test_baselines_stopped_and_resumed(item_device, city, tmp_path, schedule):
     assert history(run) == history(whole)
 
 
-# --- the checkpoint is checked
-
-
 def test_another_scene_is_refused(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, stop_at=2)
     other = replace(city, points=city.points + 1e-6)
@@ -172,8 +167,6 @@ def test_a_broken_training_keeps_its_checkpoint(item_device, city, tmp_path, mon
         resume(city, options_of(checkpoint_every=50), item_device, run)
     assert (run.path / "checkpoint.npz").read_bytes() == kept
 
-
-# --- stopped from outside
 
 SLOW = {**LEVELLED, "iterations": 200, "reset_every": 80, "checkpoint_every": 10}
 

@@ -67,9 +67,6 @@ def test_harmonics_stay_at_zero_until_their_degree(item_device, city, tmp_path):
     assert rest[:, :3].any() and not rest[:, 3:].any()
 
 
-# --- evaluations and records
-
-
 def evaluated(run):
     return [record["iteration"] for record in records(run, "eval")]
 

@@ -166,9 +166,6 @@ def test_a_resumed_run_keeps_to_the_budget():
     assert 0.97 * 240 < again.run() < 1.01 * 240
 
 
-# --- no end just after an upheaval
-
-
 def by_area(level, count, iteration, unit=0.05):
     """A CPU's: by pixels, which the estimate of a level not seen yet takes for less."""
     return unit / level**2

@@ -17,8 +17,6 @@ from tests.data.tiny_training import model_digest, records
 STEPS, EVERY = 40, 10  # of the run; between records and checkpoints
 
 
-# --- in a training
-
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     return read_scene(write_scene(tmp_path_factory.mktemp("scene")))

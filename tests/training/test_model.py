@@ -231,8 +231,6 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
     assert step.skipped.requested == 4 * len(seen)
 
 
-# --- a round of growth, from statistics to rows
-
 SMALL, LARGE, HUGE = 0.05, 0.2, 1.1  # of an extent of 10: cloned, split, pruned unless split
 GROWS = Plan(1.0, DEGREE, gathers=True, grows=True, resets_opacity=False, prunes_large=True,
              decay=0.5)

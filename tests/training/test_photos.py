@@ -118,9 +118,6 @@ def test_a_damaged_photo_is_refused_at_the_start(item_device, views, levels, bud
         list(decoded(views))
 
 
-# --- host memory
-
-
 def test_twelve_photos_of_50_megapixels_leave_room_in_host_memory(views, monkeypatch):
     """Less than 1.5 GiB by far, for as many threads as there may be; `plan` says so."""
     monkeypatch.setattr(module, "THREADS", module.MOST_THREADS)
@@ -128,9 +125,6 @@ def test_twelve_photos_of_50_megapixels_leave_room_in_host_memory(views, monkeyp
     assert module.reading_bytes(3 * large) == module.reading_bytes(large[:1]) < 1 << 30
     window = [replace(view, camera=view.camera.cropped(0, 0, 2048, 2048)) for view in large]
     assert module.reading_bytes(window) < module.reading_bytes(large)
-
-
-# --- levels
 
 
 def test_each_level_is_read_once_and_ahead_of_its_use(item_device, views, reads):

@@ -39,9 +39,6 @@ class Case:
     falls_to: float = 0.8
 
 
-# --- scenes
-
-
 def rescaled(scene, factor):
     """The same scene in other units: points, cameras and offset times `factor`."""
     return replace(scene, points=scene.points * factor, offset=scene.offset * factor, views=tuple(
@@ -115,9 +112,6 @@ def with_outliers(scene, _):
     return replace(scene, points=points)
 
 
-# --- initial gaussians
-
-
 def logits(*values):
     def change(rows, _):
         rows["opacity_logits"][:] = np.resize(values, len(rows["opacity_logits"]))
@@ -142,8 +136,6 @@ def written(scene, case, path):
     write_ply(path, Gaussians(rows, 3), scene.offset)
     return path
 
-
-# --- the set
 
 FEW = {"sphere_neighbours": 5}  # ten points have no fifteen others
 CASES = {
@@ -221,9 +213,6 @@ def test_what_cannot_be_good_is_said(city, tmp_path, name):
     assert len(said) == len(case.warns), said
     for text, part in zip(said, case.warns):
         assert part in text and "\n" not in text and len(text) < 160
-
-
-# --- units and places
 
 
 @pytest.mark.parametrize("factor", [1e-9, 1000.0])

@@ -91,8 +91,6 @@ def numbered(folder, items):
         yield folder / str(number), item
 
 
-# --- scenes, models, options
-
 PLACE = Georeference("EPSG:32632", (5e5, 5.3e6, 200.0), "made", 0.1)
 
 
@@ -192,8 +190,6 @@ def _options(folder):
     assert 0 <= options.sh_degree <= 3
 
 
-# --- what lies beside photos and scenes
-
 DJI = {"GimbalYawDegree": "+12.50", "GimbalPitchDegree": "-89.90", "GimbalRollDegree": "+0.00",
        "RelativeAltitude": "+60.1", "RtkStdLon": "0.01", "RtkStdLat": "0.01", "RtkStdHgt": "0.02",
        "CalibratedFocalLength": "3666.0", "DewarpData": "2020-01-01;3.6,3.6,1,1,0,0,0,0,0"}
@@ -254,8 +250,6 @@ def _read_control_points(folder):
     for point in read.points:
         _finite(point.position, *(mark[1:] for mark in point.marks))
 
-
-# --- projects of other programs
 
 PROJECT_LENS = (40.0, 40.0, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0)
 ON_EARTH = (1.0, np.eye(3), np.array([4.1e6, 6.3e5, 4.8e6]))  # geocentric, metres

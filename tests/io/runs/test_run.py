@@ -193,8 +193,6 @@ def test_every_flipped_byte_is_detected_or_harmless(run):
     assert noticed > len(data) / 3 * 0.6
 
 
-# --- --overwrite removes the run that clsplat wrote, and nobody else's files
-
 MODEL = Gaussians.from_points(np.eye(3), np.zeros((3, 3), np.uint8), 0)
 
 
