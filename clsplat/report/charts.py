@@ -6,7 +6,7 @@ A chart is a function that returns a Chart, or None if there is nothing to draw.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -74,7 +74,7 @@ class Chart:
 
     def data(self) -> dict[str, Any]:
         """What web/chart.js reads: a panel's `data` are the columns x, y, y, ... of uPlot."""
-        return {**asdict(self), "panels": [
+        return {"x": self.x, "marks": self.marks or {}, "panels": [
             {"title": panel.title, "scale": panel.scale, "levels": list(panel.levels),
              "data": _columns(panel.lines),
              "lines": [{"label": line.label, "colour": line.colour, "kind": line.kind}

@@ -355,7 +355,7 @@ class Training:
                 self.evaluator.per_view, session.predicted()))
         except ClsplatError:
             raise
-        except Exception as error:  # noqa: BLE001  (fonts, locales, matplotlib settings)
+        except Exception as error:  # noqa: BLE001  (no report is worth a model)
             if was_interrupted(error):
                 raise
             logging.getLogger(__name__).warning(

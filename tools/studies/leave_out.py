@@ -45,8 +45,7 @@ PARTS = {
     "spheres": ({"sphere": True}, {"sphere": False}),
     "growth statistics": ({}, {}),
 }
-ADDITIONS = {"moments on the host": {"engine": "numpy"},
-             "photos streamed": {}}
+ADDITIONS = {"moments on the host": {"engine": "numpy"}, "photos streamed": {}}
 VIEWS = 10  # for the steps
 
 

@@ -107,7 +107,7 @@
                {...axis, size: 62, values: (plot, splits) => splits.map(short),
                 ...(isLog ? {splits: logSplits, filter: (plot, splits) => splits} : {})}],
         legend: {markers: {width: 2}}, cursor: {sync: {key}, y: false},
-        hooks: {drawClear: [plot => drawMarks(plot, chart.marks || {}, panel.levels, !number)]},
+        hooks: {drawClear: [plot => drawMarks(plot, chart.marks, panel.levels, !number)]},
       }, panel.data, place);
       // lines without a name are in the legend of none
       plot.root.querySelectorAll(".u-series").forEach((row, index) => {
