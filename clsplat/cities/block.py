@@ -18,7 +18,6 @@ from clsplat.io.runs.city import DENSE, BlockFolder, CityFolder
 from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.write import DEPTH
 from clsplat.options import TrainOptions, checked_values, resolve
-from clsplat.training.checkpoint import Saved
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
 from clsplat.training.progress import SilentProgress
@@ -120,12 +119,11 @@ class BlockTraining:
             self.device = self.device or choose_device(self.options.device, form=self.options.form)
             others = other_blocks(block) if exchanges else []
             scene = BlockScene.read(block)
-            saved: Saved | None = None  # what the latest exchange has made of the checkpoint
             for number, step in enumerate(exchanges, 1):
-                if (taken := run.checkpoint_iteration()) <= step:
-                    latest = self._go_on(scene, step, saved) if taken < step else None
-                    write_owned(block, scene, number, latest)
-                    del latest  # it takes as much memory as the exchange that follows
+                if (taken := run.checkpoint_iteration()) < step:
+                    self._go_on(scene, step)
+                if taken <= step:
+                    write_owned(block, scene, number)
                 place = f"exchange {number} of {len(exchanges)}, after step {step}"
                 if number == until:
                     return f"stops at {place}"
@@ -134,38 +132,29 @@ class BlockTraining:
                 if lacking := lacking_blocks(others, number):
                     return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}"
                             f"{' ...' * (len(lacking) > MOST_NAMED)} too, then this block again")
-                saved = exchange(block, scene, others, self.options, number, run)
-            self._go_on(scene, 0, saved)
+                exchange(block, scene, others, self.options, number)
+            self._go_on(scene)
         return "finished"
 
-    def _go_on(self, scene: BlockScene, until: int, saved: Saved | None) -> Saved | None:
-        """Train until a step, or to the end if that is 0, from what is saved, or else from the
-        run's checkpoint or the start. Returns the checkpoint at that step, None at the end."""
-        run, latest, options = self.folder, list[Saved](), self.options
+    def _go_on(self, scene: BlockScene, until: int = 0) -> None:
+        """Train from the run's checkpoint, or the start, until a step, or to the end if that is 0.
+        """
+        run, options = self.folder, self.options
         stop_at = min(filter(None, (until, options.stop_at)), default=0)
         changed, parts = replace(options, stop_at=stop_at), scene.parts(options.exposure == "on")
         assert self.device is not None
-
-        def keep(written: Saved) -> None:
-            if written[1]["iteration"] == until:
-                latest.append(written)
 
         def stop(_: dict[str, Any]) -> None:
             if self._stopping():
                 raise StopTraining
 
+        start, folder = (resume, run) if run.is_begun else (train, RunFolder.create(run.path))
         try:
-            if run.is_begun:
-                resume(scene.scene, changed, self.device, run, self._progress, (stop,),
-                       on_save=keep, saved=saved, parts=parts)
-            else:
-                train(scene.scene, changed, self.device, RunFolder.create(run.path),
-                      self._progress, (stop,), on_save=keep, parts=parts)
+            start(scene.scene, changed, self.device, folder, self._progress, (stop,), parts=parts)
         except Interrupted as stopped:
             if (not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at
                     or self._stopping()):
                 raise
-        return latest[-1] if latest else None
 
     def _check_same(self) -> None:
         run = self.folder

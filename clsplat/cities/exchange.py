@@ -20,25 +20,24 @@ from numpy.typing import NDArray
 
 from clsplat.cities.scene import BlockScene
 from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.models.ply import START
 from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.records import object_of
 from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
-from clsplat.options import SceneOptions
+from clsplat.options import TrainOptions
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.scene import Scene
-from clsplat.training.checkpoint import Arrays, Saved, gaussians_of
+from clsplat.training.checkpoint import Arrays, gaussians_of
 from clsplat.training.recorder import LOG_EVERY
 
 STATISTICS = ("statistics.grad_norm_sum", "statistics.seen_count")
 SCALES = "row.log_scales"
-PLACED = ("row.positions", SCALES, "row.quaternions")  # where a gaussian is, and how large
+PLACES = ("row.positions", "row.anchors")
 # arrays of what is owned -> power of a length; gradients by positions have one over a length
 LENGTHS = {"row.max_offsets": 1, "m.positions": -1, "v.positions": -2}
-READ_TOGETHER = 4  # files, so that not all of them are in memory
+READ_TOGETHER = 2  # files, so that not all of them are in memory
 DAMAGED = "damaged"
 CITY = "city"  # key of block.json, and of these files: the fingerprint of the whole scene
 
@@ -58,17 +57,14 @@ def most_exchanges(steps: int) -> int:
     return steps // (2 * LOG_EVERY)
 
 
-def write_owned(block: BlockFolder, own: BlockScene, number: int, saved: Saved | None) -> None:
-    """Write what a block owns, with Adam's moments, unless that was done before.
-
-    `own` : the block as it was read; `number` : of the exchange, from 1; `saved` : the checkpoint
-    at the exchange; None: that of the block's run is read."""
+def write_owned(block: BlockFolder, own: BlockScene, number: int) -> None:
+    """Write what a block owns, with Adam's moments, from the checkpoint of its run, unless that was
+    done before; `own` : the block as it was read, `number` : of the exchange, from 1."""
     path = block.exchanged(number)
     if path.exists():
         return
     scene = own.scene.normalised()
-    arrays, _ = saved or RunFolder(block.run).load_checkpoint(_is_by_gaussian)
-    arrays = {name: values for name, values in arrays.items() if _is_by_gaussian(name)}
+    arrays, _ = RunFolder(block.run).load_checkpoint(_is_by_gaussian)
     owned = own.region.owns(scene.offset + scene.unit * arrays["row.positions"].astype(float))
     with replacing(path) as file:
         write_npz(file, {**{name: values[owned] for name, values in arrays.items()},
@@ -95,113 +91,72 @@ def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
 
 
 def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder],
-             options: SceneOptions, number: int, run: RunFolder) -> Saved:
-    """Replace a block's margin and surroundings by what other blocks own.
-
-    Returns the checkpoint from which the block goes on; that of its run stays as it is. Gaussians
-    of the margin bring the moments of their owner.
+             options: TrainOptions, number: int) -> None:
+    """Replace a block's margin and surroundings, in the checkpoint of its run, by what other blocks
+    own. Gaussians of the margin bring the moments of their owner.
 
     Parameters
     ----------
     block, read, others : its folder, the block as it was read, and its `other_blocks`.
     options, number : of its training; of the exchange, from 1.
-    run : of the block, with a checkpoint at the exchange; its rows are in the block's file.
     """
-    record = block.read()
+    run, degree, whole = RunFolder(block.run), options.sh_degree, block.read()[CITY]
     arrays, state = run.load_checkpoint(lambda name: not _is_by_gaussian(name))
     scene = read.scene.reduced(options.downscale, options.max_resolution).normalised()
     region = read.region
 
     def taken_from(other: BlockFolder) -> Arrays:
         """What the block holds of another one."""
-        owned = Owned(other, number, record)
-        placed = _in_frame_of(scene, {name: owned.rows[name] for name in PLACED}, owned.frame)
-        start = block_start(
-            Gaussians.padded({name.removeprefix("row."): rows for name, rows in placed.items()}),
-            scene, region, scene.views)
-        taken = _in_frame_of(scene, owned.arrays(start.indices), owned.frame)
+        owned = _in_frame_of(scene, *_owned(other, number, whole, degree))
+        start = block_start(gaussians_of(owned, degree), scene, region, scene.views)
+        taken = {name: values[start.indices] for name, values in owned.items()}
         # which may be thinned
-        taken[SCALES] = start.gaussians.log_scales.astype(owned.rows[SCALES].dtype)
-        return taken
+        return {**taken, SCALES: start.gaussians.log_scales.astype(owned[SCALES].dtype)}
 
     with ThreadPoolExecutor(READ_TOGETHER) as threads:
         found = list(threads.map(taken_from, others))
-        owned = Owned(block, number, record).arrays()
-        new = dict(zip(owned, threads.map(lambda name: np.concatenate(
-            [owned[name], *(taken[name] for taken in found)]), owned)))
+    owned, _ = _owned(block, number, whole, degree)
+    new = {name: np.concatenate([values, *(taken.pop(name) for taken in found)])
+           for name, values in owned.items()}
     trains = trainable(scene, region, new["row.positions"], new[SCALES])
-    return {**arrays, **new, "frozen.rows": (~trains).astype(np.uint32),
-            "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
+    run.save_checkpoint({
+        **arrays, **new, "frozen.rows": (~trains).astype(np.uint32),
+        "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state)
 
 
-class Owned:
-    """What a block owned at an exchange, in its file; InputError if that is damaged, or of another
-    city or block. `record` : of the block that reads it.
-
-    Attributes
-    ----------
-    rows : arrays of a checkpoint with a row a gaussian, without moments.
-    frame : the unit and the offset of the block.
-    """
-
-    def __init__(self, block: BlockFolder, number: int, record: dict[str, Any]) -> None:
-        path = block.exchanged(number)
-        self._path, self._cure = path, f"remove {path.parent}, and train that block again"
-        self.rows = read_npz(path, DAMAGED, self._cure, lambda name: name == STATE or _is_row(name))
-        try:
-            self.frame = object_of(self.rows.pop(STATE).tobytes())
-            self._check(self.rows, moments=False)
-            if not (self.frame["unit"] > 0 and np.shape(self.frame["offset"]) == (3,)):
-                raise ValueError("its frame")
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path}: {DAMAGED} ({error}); {self._cure}") from None
-        if (self.frame.get(CITY), self.frame.get(START)) != (record[CITY], block.start()):
-            raise InputError(f"{path}: of another city, block or partition than {block.path}; "
-                             f"{self._cure}")
-
-    def arrays(self, indices: NDArray[np.integer] | None = None) -> Arrays:
-        """Rows of gaussians with their moments and statistics; InputError if they are damaged.
-
-        Most of the file is moments, and other blocks need few of them. `indices` : int[K],
-        ascending, of the gaussians; None: all.
-        """
-        rows = self.rows if indices is None else {
-            name: values[indices] for name, values in self.rows.items()}
-        found = {**rows, **read_npz(self._path, DAMAGED, self._cure, lambda name: name != STATE
-                                    and not _is_row(name), indices)}
-        try:
-            self._check(found, moments=True)
-        except (KeyError, ValueError) as error:
-            raise InputError(f"{self._path}: {DAMAGED} ({error}); {self._cure}") from None
-        return found
-
-    @staticmethod
-    def _check(arrays: Arrays, moments: bool) -> None:
-        degree = int(np.sqrt(arrays["row.sh_rest"].shape[1] + 1)) - 1
-        gaussians_of(arrays, degree, moments=moments)
+def _owned(block: BlockFolder, number: int, city: str, sh_degree: int
+           ) -> tuple[Arrays, dict[str, Any]]:
+    """What a block owned at an exchange, as arrays of a checkpoint, and the unit and the offset of
+    its frame; InputError for a file that is damaged, or of another block or `city`."""
+    path = block.exchanged(number)
+    cure = f"remove {path.parent}, and train that block again"
+    arrays = read_npz(path, DAMAGED, cure)
+    try:
+        frame = object_of(arrays.pop(STATE).tobytes())
+        gaussians_of(arrays, sh_degree)
+        if not (frame["unit"] > 0 and np.shape(frame["offset"]) == (3,)):
+            raise ValueError("its frame")
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: {DAMAGED} ({error}); {cure}") from None
+    if (frame.get(CITY), frame.get(START)) != (city, block.start()):
+        raise InputError(f"{path}: of another city, block or partition than {block.path}; {cure}")
+    return arrays, frame
 
 
 def _in_frame_of(scene: Scene, owned: Arrays, frame: dict[str, Any]) -> Arrays:
-    """Some or all arrays of an `Owned`, with its frame, in the frame of another block's scene."""
-    factor = frame["unit"] / scene.unit
-    moved = dict(owned)
-    for name in ("row.positions", "row.anchors"):
-        if name in owned:
-            world = np.asarray(frame["offset"]) + frame["unit"] * owned[name].astype(float)
-            moved[name] = ((world - scene.offset) / scene.unit).astype(owned[name].dtype)
-    for name, power in LENGTHS.items():
-        if name in owned:
-            moved[name] = (owned[name] * factor**power).astype(owned[name].dtype)
-    if SCALES in owned:
-        moved[SCALES] = (owned[SCALES] + np.log(factor)).astype(owned[SCALES].dtype)
-    return moved
+    """What `_owned` returns in the frame of another block's scene."""
+    factor, offset = frame["unit"] / scene.unit, np.asarray(frame["offset"])
+
+    def moved(name: str, values: NDArray[Any]) -> Any:
+        if name in PLACES:
+            return (offset + frame["unit"] * values.astype(float) - scene.offset) / scene.unit
+        if name == SCALES:
+            return values + np.log(factor)
+        return values * factor**LENGTHS[name] if name in LENGTHS else values
+
+    return {name: moved(name, values).astype(values.dtype) for name, values in owned.items()}
 
 
 def _is_by_gaussian(name: str) -> bool:
-    """Whether an array of a checkpoint that an `Owned` has too has a row a gaussian."""
-    return _is_row(name) or name.partition(".")[0] in ("m", "v") or name in STATISTICS
-
-
-def _is_row(name: str) -> bool:
-    """Whether an array of a checkpoint is a field of its gaussians."""
-    return name.startswith("row.")
+    """Whether an array of a checkpoint, which exchanges contain too, has a row a gaussian."""
+    return name.partition(".")[0] in ("row", "m", "v") or name in STATISTICS

@@ -14,15 +14,13 @@ from clsplat.io.regular import opened_archive
 
 
 def read_npz(path: Path, complaint: str, cure: str,
-             wanted: Callable[[str], bool] = lambda name: True,
-             rows: NDArray[np.integer] | None = None) -> dict[str, NDArray[Any]]:
+             wanted: Callable[[str], bool] = lambda name: True) -> dict[str, NDArray[Any]]:
     """Read the arrays of an .npz by name; every byte that is read is checked against its CRC.
 
     Parameters
     ----------
     complaint, cure : of the message for a damaged file, "PATH: COMPLAINT (the reason); CURE".
     wanted : called with the name of an array, returns whether it is read.
-    rows : indices of those rows that are kept of every array; None: all.
     """
     found = {}
     try:
@@ -30,8 +28,7 @@ def read_npz(path: Path, complaint: str, cure: str,
                 archive, members):
             for name, member in members.items():
                 with archive.open(member) as stream:
-                    array = read_array(stream, member.file_size)
-                found[name.removesuffix(".npy")] = array if rows is None else array[rows]
+                    found[name.removesuffix(".npy")] = read_array(stream, member.file_size)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check the path") from None
     except Exception as error:  # zipfile and numpy raise many kinds

@@ -18,7 +18,6 @@ from clsplat.training.recorder import Clock, broken
 from clsplat.training.session import Session
 
 Arrays = dict[str, NDArray[Any]]
-Saved = tuple[Arrays, dict[str, Any]]  # the arrays and the state of a checkpoint
 
 KINDS = "row", "m", "v", "adam", "statistics"  # of the arrays that no part has
 STATISTICS = "grad_norm_sum", "seen_count"
@@ -33,11 +32,9 @@ class Checkpoint:
         self.run, self.session, self.clock = run, session, clock
         self.deadline, self.fingerprint = deadline, fingerprint
 
-    def save(self) -> Saved:
-        """Write the checkpoint, while the clock is paused, and return what was written.
-
-        Raises InputError where a value is not finite, and so keeps the previous checkpoint.
-        """
+    def save(self) -> None:
+        """Write the checkpoint, while the clock is paused; InputError where a value is not finite,
+        which keeps the previous checkpoint."""
         session, step = self.session, self.session.step
         m, v = step.model.adam.download()
         kinds = {"row": step.model.download(stored=True).rows, "m": m, "v": v,
@@ -55,7 +52,6 @@ class Checkpoint:
             "initial_count": session.schedule.facts.count,
             "budget": self.deadline and self.deadline.state()}
         self.run.save_checkpoint(arrays, state)
-        return arrays, state
 
     def check_model(self) -> None:
         """Raise InputError where a value of the gaussians is not finite."""
@@ -128,18 +124,15 @@ def latest_model(run: RunFolder) -> Gaussians:
                          "overwrite=True") from None
 
 
-def gaussians_of(arrays: Arrays, sh_degree: int, moments: bool = True) -> Gaussians:
-    """The gaussians in the arrays of a checkpoint, whose moments and statistics are checked too
-    where it has `moments`; KeyError names an array that is missing, ValueError one that does not
-    fit."""
+def gaussians_of(arrays: Arrays, sh_degree: int) -> Gaussians:
+    """The gaussians in the arrays of a checkpoint, whose moments and statistics are checked too;
+    KeyError names an array that is missing, ValueError one that does not fit."""
     carried = [field for field in FIELDS if f"row.{field.name}" in arrays or field in LEARNED]
-    count = arrays["statistics.seen_count" if moments else "row.opacity_logits"].size
-    kinds = {"row": carried, **({"m": LEARNED, "v": LEARNED} if moments else {})}
+    count = arrays["statistics.seen_count"].size
+    kinds = {"row": carried, "m": LEARNED, "v": LEARNED}
     shapes = {f"{kind}.{field.name}": field.row_shape(sh_degree)
               for kind, fields in kinds.items() for field in fields}
-    if moments:
-        shapes["statistics.grad_norm_sum"] = ()
-    for name, shape in shapes.items():
+    for name, shape in {**shapes, "statistics.grad_norm_sum": ()}.items():
         values = arrays[name]
         if values.dtype not in REALS or values.shape != (count, *shape) or not _is_finite(values):
             raise ValueError(f"{name} ({values.dtype}{list(values.shape)}, or not finite)")

@@ -8,7 +8,7 @@ import dataclasses
 import logging
 import shlex
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -29,7 +29,7 @@ from clsplat.options import TrainOptions
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
 from clsplat.training.budget import Deadline, evaluation_seconds
-from clsplat.training.checkpoint import Checkpoint, Saved, damaged, saved_gaussians
+from clsplat.training.checkpoint import Checkpoint, damaged, saved_gaussians
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.part import Part
@@ -42,22 +42,20 @@ from clsplat.training.step import Measured
 
 SAVE_SECONDS = 30.0  # between checkpoints: so much work a kill may cost
 SAVE_SHARE = 1 / 20  # of the time, at most, that checkpoints take
-OnSave = Callable[[Saved], object]
 
 
 def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
           progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
-          watcher: Watcher | None = None, on_save: OnSave | None = None,
-          parts: Iterable[Part] = ()) -> None:
+          watcher: Watcher | None = None, parts: Iterable[Part] = ()) -> None:
     """Train a scene from the start, in the folder of an empty `run`.
 
     `callbacks` are called with every record, and may raise StopTraining; the `watcher` is asked
-    after every step, and `on_save` is called with every checkpoint that was written. `parts` are
-    those besides what the options ask for; one with the name of another takes its place. Raises
-    Interrupted on Ctrl-C, or where an option or a callback stops it; the state is saved.
+    after every step. `parts` are those besides what the options ask for; one with the name of
+    another takes its place. Raises Interrupted on Ctrl-C, or where an option or a callback stops
+    it; the state is saved.
     """
     training = Training(scene, options, device, run, progress, callbacks=callbacks,
-                        watcher=watcher, on_save=on_save, parts=parts)
+                        watcher=watcher, parts=parts)
     with training.resumable():
         training.record()
         training.run_to_end()
@@ -72,13 +70,8 @@ def trained_on(scene: Scene, init: str, device: Device, is_stage: bool = False) 
 
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
            progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
-           watcher: Watcher | None = None, on_save: OnSave | None = None,
-           saved: Saved | None = None, parts: Iterable[Part] = ()) -> None:
-    """Resume a run from its checkpoint, as if it had never stopped; arguments as for `train`.
-
-    In place of the run's checkpoint it may go on from one that was `saved` at the same step, whose
-    arrays are dropped once they are on the device.
-    """
+           watcher: Watcher | None = None, parts: Iterable[Part] = ()) -> None:
+    """Resume a run from its checkpoint, as if it had never stopped; arguments as for `train`."""
     record, scene = run.read_options(), placed(scene, run.path)
     if record.get("fingerprint") != fingerprint(scene):
         raise InputError(f"{run.path}: this run was trained on another scene, "
@@ -88,16 +81,16 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         (progress.message if progress else logging.getLogger(__name__).warning)(
             f"{run.path}: has no checkpoint, so the training begins again at step 1")
         run.rewind(-1)
-        train(scene, options, device, run, progress, callbacks, watcher, on_save, parts)
+        train(scene, options, device, run, progress, callbacks, watcher, parts)
         return
-    arrays, state = saved or run.load_checkpoint()
+    arrays, state = run.load_checkpoint()
     if state.get("fingerprint") != record["fingerprint"]:
         raise InputError(f"{run.path}: its checkpoint is of another scene; put back the run's own, "
                          "or start again with --overwrite")
     gaussians = saved_gaussians(run, record, arrays)
     try:
         training = Training(scene, options, device, run, progress, gaussians, callbacks,
-                            watcher, state["level"], on_save, parts)
+                            watcher, state["level"], parts)
         training.checkpoint.load(arrays, state)
     except KeyError as error:
         raise damaged(run, error) from None
@@ -120,13 +113,12 @@ class Training:
     def __init__(self, scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                  progress: SilentProgress | None = None, gaussians: Gaussians | None = None,
                  callbacks: Iterable[Callback] = (), watcher: Watcher | None = None,
-                 level: float = 0.0, on_save: OnSave | None = None, parts: Iterable[Part] = ()
-                 ) -> None:
+                 level: float = 0.0, parts: Iterable[Part] = ()) -> None:
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.recorded = gaussians is not None
         parts = tuple(parts)
         self.is_stage = is_stage(options, parts)
-        self._given, self.run, self.watcher, self._on_save = (scene, options), run, watcher, on_save
+        self._given, self.run, self.watcher = (scene, options), run, watcher
         self.progress = progress = SilentProgress() if progress is None else progress
         # the larger one shows it once
         if (note := size_note(scene.views, options)) and not self.is_stage:
@@ -326,9 +318,7 @@ class Training:
             if self._measured:
                 self.recorder.check(self._measured)
             begin = time.perf_counter()
-            saved = self.checkpoint.save()
-            if self._on_save:
-                self._on_save(saved)
+            self.checkpoint.save()
             self._save_seconds, self._saved_at = time.perf_counter() - begin, self.clock.elapsed()
             if self.deadline:
                 self.deadline.note_saved(self._save_seconds)

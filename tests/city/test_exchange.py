@@ -61,7 +61,6 @@ def stopped(tmp_path_factory, item_device):
             **city.identity(), OTHERS: [1 - number], EXCHANGES: [AT]})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_block, "choose_device", lambda *_, **__: item_device)
-        patch.setattr(exchange_module, "RunFolder", None)  # parts are written without reading it
         said = BlockTraining(city.block(0)).run()
         assert said.startswith("waits at exchange 1 of 1, after step 100: train 001 too")
         patch.setattr(training_block, "exchange", lambda *_: pytest.exit("not yet"))
@@ -82,8 +81,8 @@ def city(stopped, tmp_path, item_device, monkeypatch):
 def test_a_block_goes_on_from_what_others_own(city):
     block, run = city.block(0), RunFolder(city.block(0).run)
     before, _ = run.load_checkpoint()
-    after, state = exchange(block, BlockScene.read(block), other_blocks(block),
-                            block_options(block), 1, run)
+    exchange(block, BlockScene.read(block), other_blocks(block), block_options(block), 1)
+    after, state = run.load_checkpoint()
     assert set(after) == set(before)
     scene = read_scene(block.path).reduced(8.0, 10_000).normalised()
     other = read_scene(city.block(1).path).normalised()
@@ -120,7 +119,8 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
 
     # in the exchange, after it, and where the training ends that follows it
     for owner, name in ((exchange_module, "trainable"), (training_block, "resume"),
-                        (Checkpoint, "check_model"), (RunFolder, "save_model")):
+                        (training_block, "resume"), (Checkpoint, "check_model"),
+                        (RunFolder, "save_model")):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, dies)
             with pytest.raises(SystemExit):
@@ -156,8 +156,7 @@ def test_parts_that_cannot_be_used_are_named(city):
                     content[:moment] + b"?" + content[moment + 1:]):
         other.exchanged(1).write_bytes(damaged)
         with pytest.raises(InputError, match=r"exchange_1.npz: damaged .* train that block again"):
-            exchange(block, BlockScene.read(block), other_blocks(block), block_options(block), 1,
-                     RunFolder(block.run))
+            exchange(block, BlockScene.read(block), other_blocks(block), block_options(block), 1)
     record = json.loads((other.path / BLOCK).read_text())
     (other.path / BLOCK).write_text(json.dumps({**record, "partition": "another"}))
     with pytest.raises(InputError, match="a block of another partition"):
