@@ -102,18 +102,6 @@ class Gaussians:
         if np.shape(self.offset) != (3,) or not np.isfinite(self.offset).all():
             raise InputError(f"offset {self.offset!r}: expects three finite numbers")
 
-    @classmethod
-    def padded(cls, rows: Mapping[str, NDArray[Any]]) -> Self:
-        """Gaussians of degree 0 for which only some fields count: the others are zero.
-
-        Parameters
-        ----------
-        rows : fields by name, `positions` among them.
-        """
-        count = len(rows["positions"])
-        zeros = {each.name: np.zeros((count, *each.row_shape(0)), np.float32) for each in LEARNED}
-        return cls({**zeros, **rows}, 0)
-
     @property
     def count(self) -> int:
         """How many gaussians there are."""

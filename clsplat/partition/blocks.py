@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from clsplat.camera import turned
+from clsplat.covisibility.source_views import visibility
 from clsplat.gaussians import Gaussians
 from clsplat.partition.region import world_of
 
@@ -115,27 +116,17 @@ def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, mo
 class Clusters:
     """Equal numbers of points that lie close together, with spheres around them.
 
-    They are cut across the two longest sides of all points: into strips, and these into clusters
-    (the packing of R-trees of Leutenegger, Lopez and Edgington 1997, Sort-Tile-Recursive).
     `positions` : [N, 3]; those that are not finite are in no view; `reach` : [N], how far each of
     the points extends; `order` : int[N], the points in the order of their clusters."""
 
     def __init__(self, positions: NDArray[np.floating], reach: NDArray[np.floating]) -> None:
         count = len(positions)
-        positions = np.where(np.isfinite(positions), positions, np.nan)
-        low, high = (each.reduce(positions, axis=0, initial=np.nan) for each in (np.fmin, np.fmax))
-        across, along = np.argsort(low - high)[:2]  # the longest sides first
-        strips = max(1, round((count / CLUSTER) ** 0.5))
-        rank = np.empty(count, np.int64)
-        rank[np.argsort(positions[:, across], kind="stable")] = np.arange(count)
-        strip = rank * strips // max(count, 1)
-        there_and_back = np.where(strip % 2, -1, 1)  # so that clusters of two strips are small, too
-        self.order = np.lexsort((there_and_back * positions[:, along], strip))
-        starts = np.arange(0, count, CLUSTER)
-        self._cluster = np.arange(count) // CLUSTER
-        packed = positions[self.order]
-        low, high = (each.reduceat(packed, starts, axis=0) if count else packed
-                     for each in (np.fmin, np.fmax))
+        finite = np.isfinite(positions).all(axis=1, keepdims=True)
+        self.order = cKDTree(np.where(finite, positions, 0), CLUSTER).indices
+        self._cluster, starts = np.arange(count) // CLUSTER, np.arange(0, count, CLUSTER)
+        packed = np.where(finite, positions, np.nan)[self.order]
+        low, high = (end.reduceat(packed, starts) if count else packed
+                     for end in (np.fmin, np.fmax))
         self._centres = (low.astype(np.float64) + high) / 2
         self._radii = np.linalg.norm(high - low, axis=1) / 2
         self._reaches = np.maximum.reduceat(reach[self.order], starts) if count else reach
@@ -146,18 +137,16 @@ class Clusters:
 
         `camera` : a pinhole, in the frame of the points; `near` : depth of the near plane; `beside`
         : pixels outside of the image that count, too."""
-        x, y, z = turned(camera.rotation, self._centres) + camera.translation[:, None]
+        centres = turned(camera.rotation, self._centres) + camera.translation[:, None]
         (fx, fy), (cx, cy) = camera.focal, camera.centre
-        shown = z + self._radii > near - ROUNDING * abs(z)
+        sides = np.array([(fx, 0, beside + cx), (-fx, 0, beside + camera.width - cx),
+                          (0, fy, beside + cy), (0, -fy, beside + camera.height - cy)])
         # a point at the pixel u = fx x / z + cx reaches the image if u > -max(fx, fy) reach / z
-        for focal, place, from_left, length in ((fx, x, cx, camera.width),
-                                                (fy, y, cy, camera.height)):
-            for sign, centre in ((1, beside + from_left),
-                                 (-1, beside + length - from_left)):
-                inside = sign * focal * place + centre * z
-                slack = (np.hypot(focal, centre) * self._radii + max(fx, fy) * self._reaches
-                         + ROUNDING * (focal * abs(place) + abs(centre * z)))
-                shown &= inside + slack > 0
+        inside = np.einsum("ij,jn->in", sides, centres) + max(fx, fy) * self._reaches
+        inside += np.linalg.norm(sides, axis=1)[:, None] * self._radii
+        rounding = ROUNDING * np.einsum("ij,jn->in", abs(sides), abs(centres))
+        shown = (inside > -rounding).all(axis=0)
+        shown &= centres[2] + self._radii > near - ROUNDING * abs(centres[2])
         found: NDArray[np.integer] = np.flatnonzero(shown[self._cluster])
         return found
 
@@ -208,17 +197,11 @@ def seen_pixels(scene: Scene, region: Region, views: Sequence[View]) -> int:
 
     The share of a view's pixels is the share of its sparse points that the region reaches.
     """
+    points, point, view = visibility(scene, views)
+    reached = region.reaches(world_of(scene, points))
+    inside, all_ = (np.bincount(view, weights, len(views)) for weights in (reached[point], None))
     pixels = np.array([view.camera.width * view.camera.height for view in views])
-    reached = region.reaches(world_of(scene, scene.points))
-    if scene.observations is None:
-        shown = [view.sees(scene.points) for view in scene.views]
-        inside, all_ = np.array([(np.sum(seen & reached), np.sum(seen)) for seen in shown]).T
-    else:
-        point, view = scene.observations.T
-        inside, all_ = (np.bincount(view, weights, len(scene.views))
-                        for weights in (reached[point], None))
-    share = dict(zip((view.name for view in scene.views), inside / np.maximum(all_, 1)))
-    return int(pixels @ [share[view.name] for view in views])
+    return int(pixels @ (inside / np.maximum(all_, 1)))
 
 
 def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]

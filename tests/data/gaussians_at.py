@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from clsplat.gaussians import Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 
 
 def gaussians_at(positions, **rows):
     """Gaussians of degree 0 at places; fields that `rows` does not give are zero."""
-    rows["positions"] = np.reshape(positions, (-1, 3))
-    return Gaussians.padded({name: np.asarray(values, np.float32)
-                             for name, values in rows.items()})
+    positions = np.reshape(positions, (-1, 3))
+    zeros = {field.name: np.zeros((len(positions), *field.row_shape(0))) for field in LEARNED}
+    return Gaussians({name: np.asarray(values, np.float32) for name, values in {
+        **zeros, **rows, "positions": positions}.items()}, 0)
