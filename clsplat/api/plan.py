@@ -8,10 +8,11 @@ from os import PathLike
 from clsplat.api.options import TrainOptions
 from clsplat.api.trainer import opened_training
 from clsplat.device import Device
-from clsplat.estimate.forecast import Planned
+from clsplat.estimate.forecast import forecast
 from clsplat.report.notebook import table
 from clsplat.scene import Scene
 from clsplat.schedule.plan import Schedule
+from clsplat.training.start.prepare import prepare
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def plan(scene: Scene | str | PathLike[str], options: TrainOptions | None = None
         device.
     """
     data, chosen, opened = opened_training(scene, options, device, schedule)
-    planned = Planned(data, chosen, opened)
-    found = planned.forecast()
-    return Forecast({**planned.prepared.decisions.reasons, "photos": found.streaming.reason},
+    prepared = prepare(data, chosen, opened)
+    found = forecast(prepared, opened)
+    return Forecast({**prepared.decisions.reasons, "photos": found.photos},
                     found.steps, found.gaussians, found.memory.total, found.seconds)

@@ -15,28 +15,17 @@ from clsplat.cities.block import train_blocks
 from clsplat.cities.city import City, Shown, find_dense_gaussians, train_coarse
 from clsplat.cities.cluster import connected
 from clsplat.cities.cut import cut_into_blocks, requested_of
-from clsplat.cities.merge import (
-    Merged,
-    evaluate_city,
-    merge_city_tree,
-    merged_city,
-    reference_file,
-)
+from clsplat.cities.merge import Merged, evaluate_city, merge_city_tree, merged_city, reference_file
 from clsplat.cities.workers import Workers
 from clsplat.config.option import is_auto
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted
-from clsplat.estimate.forecast import Forecast, Planned
+from clsplat.estimate.forecast import Forecast
 from clsplat.gaussians import LEARNED
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import SceneOptions, ScheduledOptions, TrainOptions
-from clsplat.partition.options import (
-    BLOCK_STEPS,
-    JOINT_STEPS,
-    LEAST_GAUSSIANS,
-    PartitionOptions,
-)
+from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, LEAST_GAUSSIANS, PartitionOptions
 from clsplat.rendering.options import RenderingOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
@@ -44,7 +33,7 @@ from clsplat.schedule.plan import SceneFacts
 from clsplat.schedule.registry import schedule_of
 from clsplat.schedule.steps import worthwhile_steps
 from clsplat.training.photos import size_note
-from clsplat.training.start.prepare import scene_facts
+from clsplat.training.start.prepare import PreparedScene, scene_facts
 
 STARTS = ("sfm", "dense")  # of a city's blocks: the coarse model, or dense points in its gaps too
 STEPS = ("joint_steps", "exchanges", "block_steps")  # options that a city keeps once it is cut
@@ -206,14 +195,14 @@ def gaussians_that_fit(device: Device, options: RenderingOptions) -> int:
     return max(1, int(MODEL_SHARE * device.handle.global_mem_size / each))
 
 
-def scale_table(planned: Planned, forecast: Forecast, device: Device, photos: Iterable[int],
+def scale_table(prepared: PreparedScene, forecast: Forecast, device: Device, photos: Iterable[int],
                 workers: int = 1) -> Table:
-    """The cost of cities with more photos like those of a planned scene, a row for each number.
+    """The cost of cities with more photos like those of a prepared scene, a row for each number.
 
     Everything grows with the number of photos, but a block is as large as the device allows, or
     smaller where there are more devices: `workers`, that train blocks at the same time.
     """
-    views, options = planned.prepared.train_views, planned.prepared.options
+    views, options = prepared.train_views, prepared.options
     area = sum(view.camera.width * view.camera.height for view in views) / len(views)
     limit, shared = gaussians_that_fit(device, options), (1 + 2 * PartitionOptions().margin) ** 2
     rows = []

@@ -7,12 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsplat.cli.flags import (
-    TrainingCommand,
-    config_options,
-    given_options,
-    training_flags,
-)
+from clsplat.cli.flags import TrainingCommand, config_options, given_options, training_flags
 from clsplat.errors import InputError
 from clsplat.schedule.plan import size_at
 
@@ -43,18 +38,19 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, workers: int, **_optio
     """
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
-    from clsplat.estimate.forecast import Planned
+    from clsplat.estimate.forecast import forecast
     from clsplat.io.scenes.read import read_scene
     from clsplat.options import resolve
     from clsplat.training.photos import size_note
+    from clsplat.training.start.prepare import prepare
     options = resolve(config_options(ctx), given_options(ctx))
     counts, progress = _numbers(photos), Progress()
     with progress:
         progress.phase("reading the scene")
         data = read_scene(scene, options.images)
         device = choose_device(options.device, form=options.form)
-        planned = Planned(data, options, device, progress)
-    prepared = planned.prepared
+        progress.phase("planning: inspecting the photos")
+        prepared = prepare(data, options, device)
     click.echo(f"{data.name}: {len(prepared.train_views)} photos to train on, "
                f"{len(prepared.test_views)} held out, {len(data.points):,} points; {device.name}")
     if note := size_note(data.views, options):
@@ -62,13 +58,13 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, workers: int, **_optio
     for name, reason in prepared.decisions.reasons.items():
         _line(name, reason)
     with progress:
-        forecast = planned.forecast()
-    _line("photos", forecast.streaming.reason)
-    _line("memory", _memory(forecast, device))
-    _line("time", _time(forecast))
+        found = forecast(prepared, device, progress)
+    _line("photos", found.photos)
+    _line("memory", _memory(found, device))
+    _line("time", _time(found))
     if counts:
         from clsplat.cities.run import scale_table
-        click.echo(f"\n{scale_table(planned, forecast, device, counts, workers).text()}")
+        click.echo(f"\n{scale_table(prepared, found, device, counts, workers).text()}")
 
 
 def _numbers(text: str) -> list[int]:

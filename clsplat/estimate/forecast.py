@@ -1,4 +1,4 @@
-"""Plans a training: its decisions, and a forecast of its memory and time.
+"""Forecasts the memory and time of a training.
 
 The time and the device memory of a step are modelled as a + b * pixels + c * gaussians, with a, b
 and c fitted to trial steps at two levels and two numbers of gaussians. Of the memory this is what a
@@ -6,6 +6,7 @@ step needs beside the model and the photos, whose sizes are known. Sums and maxi
 of the simulated schedule are those of the run.
 """
 
+import functools
 import itertools
 import math
 import time
@@ -17,27 +18,20 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from clsplat.device import Device
-from clsplat.estimate.trial_steps import (
-    SizedPhotos,
-    TrialSteps,
-    sampled,
-    sized,
-    spread_out,
-)
+from clsplat.estimate.trial_steps import SizedPhotos, TrialSteps, sampled, sized, spread_out
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.options import ScheduledOptions, TrainOptions, seconds_of
+from clsplat.options import seconds_of
 from clsplat.rendering.pipeline import Renderer
-from clsplat.scene import Scene, View
+from clsplat.scene import View
 from clsplat.schedule.plan import size_at
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.schedule.steps import laid_over
 from clsplat.training.model import ENGINES, Model
-from clsplat.training.part import Decision
 from clsplat.training.photos import DEVICE_SHARE, at_level, decoded, photo_array, reading_bytes
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
 from clsplat.training.start.initialise import initial_gaussians, start_seconds
-from clsplat.training.start.prepare import PreparedScene, prepare
+from clsplat.training.start.prepare import PreparedScene
 
 MIB = 2**20
 TIMED_VIEWS = 8  # for steps in turn
@@ -48,9 +42,6 @@ MOST_GROWTH = 4  # largest multiple of the initial gaussians in a trial step
 MOST_GAUSSIANS = 200_000  # in a trial step
 MOST_PIXELS = 2e6  # of an image in a trial step; larger images are extrapolated
 DETAIL_VIEWS = 8  # of whose photos the detail is measured
-
-TimedStep = tuple[float, float, float]  # pixels, gaussians, seconds
-
 
 @dataclass(frozen=True)
 class Memory:
@@ -72,23 +63,6 @@ class Memory:
     model: int
 
 
-@dataclass(frozen=True)
-class Trial:
-    """Steps that were taken.
-
-    Attributes
-    ----------
-    pixels, gaussians : of an image, the mean; of the model.
-    seconds : of a step.
-    nbytes : device memory beside the model and the photos.
-    """
-
-    pixels: float
-    gaussians: int
-    seconds: float
-    nbytes: int
-
-
 @dataclass(frozen=True, eq=False)
 class Forecast:
     """The predicted course of a training.
@@ -100,7 +74,7 @@ class Forecast:
     memory : device memory.
     seconds : time of training.
     ends : (level, gaussians, seconds per step) at the beginning and at the end of the run.
-    streaming : whether photos stay on the device.
+    photos : a sentence about whether photos stay on the device.
     """
 
     steps: int
@@ -108,84 +82,60 @@ class Forecast:
     memory: Memory
     seconds: float
     ends: list[tuple[float, int, float]]
-    streaming: Decision
+    photos: str
 
 
-class Planned:
-    """A training that is prepared but not begun; InputError where it cannot be.
+def forecast(prepared: PreparedScene, device: Device, progress: SilentProgress | None = None
+             ) -> Forecast:
+    """Forecast a training; this takes some real steps on the device.
 
-    Parameters
-    ----------
-    scene, options, device : see `training.prepare.prepare`.
-    progress : receives what is being done.
-
-    Attributes
-    ----------
-    prepared : the scene, ready for training.
+    Raises DeviceError where these steps, or those to come, do not fit the device.
     """
+    progress = progress or SilentProgress()
+    options, scene, views = prepared.options, prepared.scene, prepared.train_views
+    gaussians = (sampled(scene, prepared.decisions.facts.count, options.sh_degree)
+                 if options.init == "dense" else initial_gaussians(scene, options))
+    detail = functools.cache(functools.partial(photo_detail, views))
+    progress.phase("planning: how many gaussians")
+    segments = simulate(prepared.schedule(gaussians, options), detail)
+    trials = take_trials(device, prepared, gaussians.count, segments, progress)
+    seconds = predicted_seconds(trials, views, segments)
+    ends = [(segment.level, segment.gaussians,
+             predicted_seconds(trials, views, [replace(segment, steps=1)]))
+            for segment in (segments[0], segments[-1])]
+    progress.phase("planning: timing the search for dense points")
+    seconds += start_seconds(device, prepared)
+    if options.time_budget:
+        budget = seconds_of(options.time_budget)
+        options = laid_over(options, max(1, int(options.iterations * budget / seconds)))
+        segments, seconds = simulate(prepared.schedule(gaussians, options), detail), budget
+    memory = predicted_memory(device, prepared, gaussians, segments, trials)
+    file = len({segment.level for segment in segments}) > 1 or not memory.resident
+    return Forecast(options.iterations, largest(segments), memory, seconds, ends,
+                    _photos(device, views, memory.resident, file))
 
-    def __init__(self, scene: Scene, options: TrainOptions, device: Device,
-                 progress: SilentProgress | None = None) -> None:
-        self.device, self.progress = device, progress or SilentProgress()
-        self.progress.phase("planning: inspecting the photos")
-        self.prepared = prepare(scene, options, device)
-        self._details: dict[float, float] = {}  # level -> `photo_detail`
 
-    def forecast(self) -> Forecast:
-        """Forecast the training; this takes some real steps on the device.
-
-        Raises DeviceError where these steps, or those to come, do not fit the device.
-        """
-        options, prepared = self.prepared.options, self.prepared
-        scene, count, views = prepared.scene, prepared.decisions.facts.count, prepared.train_views
-        gaussians = (sampled(scene, count, options.sh_degree) if options.init == "dense" else
-                     initial_gaussians(scene, options))
-        self.progress.phase("planning: how many gaussians")
-        segments = self._segments(options, gaussians)
-        trials = take_trials(self.device, prepared, gaussians.count, segments, self.progress)
-        measured = [(trial.pixels, float(trial.gaussians), trial.seconds) for trial in trials]
-        seconds = predicted_seconds(measured, views, segments)
-        ends = [(segment.level, segment.gaussians,
-                 predicted_seconds(measured, views, [replace(segment, steps=1)]))
-                for segment in (segments[0], segments[-1])]
-        self.progress.phase("planning: timing the search for dense points")
-        seconds += start_seconds(self.device, prepared)
-        if options.time_budget:
-            budget = seconds_of(options.time_budget)
-            options = laid_over(options, max(1, int(options.iterations * budget / seconds)))
-            segments, seconds = self._segments(options, gaussians), budget
-        memory = predicted_memory(self.device, prepared, gaussians, segments, trials)
-        return Forecast(options.iterations, largest(segments), memory, seconds, ends,
-                        self._streaming(memory, len({segment.level for segment in segments})))
-
-    def _segments(self, options: ScheduledOptions, gaussians: Gaussians) -> list[Segment]:
-        """The simulated run."""
-        schedule = self.prepared.schedule(gaussians, options)
-        for level in set(schedule.levels) - self._details.keys():
-            self._details[level] = photo_detail(self.prepared.train_views, level)
-        return simulate(schedule, self._details.__getitem__)
-
-    def _streaming(self, memory: Memory, levels: int) -> Decision:
-        views = self.prepared.train_views
-        size = 3 * sum(v.camera.width * v.camera.height for v in views)
-        value = "resident" if memory.resident else "streamed"
-        allowed = DEVICE_SHARE * self.device.handle.global_mem_size
-        waits = levels > 1 or not memory.resident
-        file = f", and a file beside the run up to {size / MIB:,.0f}" if waits else ""
-        return Decision(value, f"{value}: {size / MIB:,.0f} MiB at full size, "
-                        f"{allowed / MIB:,.0f} may stay on the device; reading takes up to "
-                        f"{reading_bytes(views) / MIB:,.0f} of the host's memory{file}")
+def _photos(device: Device, views: Sequence[View], resident: bool, file: bool) -> str:
+    size = 3 * sum(v.camera.width * v.camera.height for v in views) / MIB
+    allowed = DEVICE_SHARE * device.handle.global_mem_size / MIB
+    return (f"{'resident' if resident else 'streamed'}: {size:,.0f} MiB at full size, "
+            f"{allowed:,.0f} may stay on the device; reading takes up to "
+            f"{reading_bytes(views) / MIB:,.0f} of the host's memory"
+            + f", and a file beside the run up to {size:,.0f}" * file)
 
 
 def take_trials(device: Device, prepared: PreparedScene, gaussians: int,
-                segments: Sequence[Segment], progress: SilentProgress) -> list[Trial]:
-    """Take steps at the sizes of `tried_sizes` for an initial number of gaussians."""
+                segments: Sequence[Segment], progress: SilentProgress) -> NDArray[np.float64]:
+    """Take steps at the sizes of `tried_sizes` for an initial number of gaussians.
+
+    Returns a row for each: the mean pixels of an image, gaussians, seconds of a step, and bytes of
+    device memory beside the model and the photos."""
     regularises = any(segment.regularises for segment in segments)
     trials = []
     for level, count in tried_sizes(prepared.train_views, gaussians, segments):
         progress.phase(f"planning: timing steps at {size_at(level)}, {count:,} gaussians")
         trials.append(_take_trial(device, prepared, level, count, regularises))
-    return trials
+    return np.array(trials)
 
 
 def tried_sizes(views: Sequence[View], count: int,
@@ -207,7 +157,7 @@ def tried_sizes(views: Sequence[View], count: int,
 
 
 def _take_trial(device: Device, prepared: PreparedScene, level: float, count: int,
-                regularises: bool) -> Trial:
+                regularises: bool) -> tuple[float, int, float, int]:
     views = at_level(prepared.train_views, level)
     renderer = Renderer(device, 0, prepared.near, prepared.options.antialiased)
     chosen = spread_out(len(views), TIMED_VIEWS)
@@ -235,26 +185,25 @@ def _take_trial(device: Device, prepared: PreparedScene, level: float, count: in
             taken += 1
         trial.finish()
         each.append((time.perf_counter() - begin) / taken)
-    return Trial(pixels(prepared.train_views, level), count, float(np.median(each)),
-                 max(1, nbytes))
+    return pixels(prepared.train_views, level), count, float(np.median(each)), max(1, nbytes)
 
 
-def fitted(measured: Sequence[TimedStep]) -> NDArray[np.float64]:
-    """Fit (a, b, c) >= 0 to [(pixels, gaussians, cost), ...], by relative errors.
+def fitted(image: NDArray[np.float64], count: NDArray[np.float64], cost: NDArray[np.float64]
+           ) -> NDArray[np.float64]:
+    """Fit (a, b, c) >= 0 to costs [N] at pixels and gaussians [N], by relative errors.
 
     Images of a single size determine only a + b * pixels.
     """
-    image, count, cost = np.array(measured, float).T
     columns = np.stack([np.ones_like(image), image / image.max(), count / count.max()], axis=1)
     solution: NDArray[np.float64] = nnls(columns / cost[:, None], np.ones_like(cost))[0]
     solution /= np.array([1, image.max(), count.max()])
     return solution
 
 
-def predicted_seconds(measured: Sequence[TimedStep], views: Sequence[View],
+def predicted_seconds(trials: NDArray[np.float64], views: Sequence[View],
                       segments: Sequence[Segment]) -> float:
     """Seconds of a run without evaluations, files and compilation, from steps that were timed."""
-    cost = fitted(measured)
+    cost = fitted(*trials.T[:3])
     return float(sum(s.steps * np.dot(cost, (1, pixels(views, s.level), s.gaussians))
                      for s in segments))
 
@@ -280,7 +229,7 @@ def photo_detail(views: Sequence[View], level: float) -> float:
 
 
 def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussians,
-                     segments: Sequence[Segment], trials: Sequence[Trial]) -> Memory:
+                     segments: Sequence[Segment], trials: NDArray[np.float64]) -> Memory:
     """Predict the device memory of a training; DeviceError if an array would be too large.
 
     Parameters
@@ -288,9 +237,9 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
     device, prepared : of the training.
     gaussians : the initial ones.
     segments : the simulated run.
-    trials : steps that were taken on this device.
+    trials : see `take_trials`.
     """
-    cost = fitted([(trial.pixels, trial.gaussians, trial.nbytes) for trial in trials])
+    cost = fitted(*trials.T[[0, 1, 3]])
     photos = {level: photo_bytes(device, prepared.train_views, level)
               for level in {segment.level for segment in segments}}
     total, steps = 0, 0

@@ -95,7 +95,7 @@ def test_what_ten_times_the_photos_take():
     view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
     options = resolve({}, {"iterations": 1000})
     limit = gaussians_that_fit(device, options)
-    planned = SimpleNamespace(prepared=SimpleNamespace(train_views=[view] * 100, options=options))
+    planned = SimpleNamespace(train_views=[view] * 100, options=options)
     forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0, steps=4000)
     small, large = scale_table(planned, forecast, device, [200, 2000]).rows
     assert small[:4] == ("200", "1", "200", "2,000") and small[7] == "2.00"

@@ -12,8 +12,8 @@ from clsplat.estimate import forecast as module
 from clsplat.estimate.forecast import (
     MOST_PIXELS,
     Memory,
-    Planned,
     fitted,
+    forecast,
     photo_bytes,
     photo_detail,
     pixels,
@@ -131,7 +131,7 @@ def test_trial_steps_foretell_what_a_training_allocates(float_device, options):
     regularises = options.get("reproject") == "on"
     segments = [Segment(1, 2.0, 3000, regularises), Segment(1, 1.0, 5000, regularises)]
     trials = take_trials(device, prepared, 3000, segments, SilentProgress())
-    assert len(trials) == 3 and all(trial.seconds for trial in trials)
+    assert len(trials) == 3 and trials[:, 2].all()
     memory = predicted_memory(device, prepared, gaussians, segments, trials)
     device.trim()
     assert device.memory_bytes < 10_000  # trials give back what they take
@@ -175,27 +175,28 @@ def test_a_run_takes_what_was_foretold(tmp_path, item_device, monkeypatch, optio
     scene = read_scene(CITY)
     options = {"exposure": "off", "reset_every": 0, "prune_opacity": 0.005, "densify_from": 100,
                "densify_every": 25, "grow_threshold": 2e-5, "densify_until": 0, **options}
-    forecast = Planned(scene, options_of(**options), Device(
-        item_device.handle, form="item")).forecast()
+    estimating = Device(item_device.handle, form="item")
+    foretold = forecast(prepare(scene, options_of(**options), estimating), estimating)
     fresh = Device(item_device.handle, form="item")
     peaks = measured_peak(fresh, monkeypatch)
     run = trained(tmp_path, scene, fresh, **options)
     steps = records(run, "step")
-    assert steps[-1]["gaussians"] == pytest.approx(forecast.gaussians, rel=0.15)
-    assert forecast.memory.steps == pytest.approx(
+    assert steps[-1]["gaussians"] == pytest.approx(foretold.gaussians, rel=0.15)
+    assert foretold.memory.steps == pytest.approx(
         max(step["memory_bytes"] for step in steps), rel=0.2)
-    assert forecast.memory.total == pytest.approx(peaks[-1], rel=0.2)
-    assert 0.2 < forecast.seconds / steps[-1]["train_seconds"] < 5
+    assert foretold.memory.total == pytest.approx(peaks[-1], rel=0.2)
+    assert 0.2 < foretold.seconds / steps[-1]["train_seconds"] < 5
 
 
 def test_three_costs_are_found_again():
     cost = (2e-3, 3e-8, 4e-7)
     made = [(image, count, np.dot(cost, (1, image, count)))
             for image in (1e4, 2e5) for count in (1000, 5000)]
-    assert fitted(made) == pytest.approx(cost)
-    a, b, c = fitted([row for row in made if row[0] == 1e4])
+    made = np.array(made).T
+    assert fitted(*made) == pytest.approx(cost)
+    a, b, c = fitted(*made[:, made[0] == 1e4])
     assert (a + b * 1e4, c) == pytest.approx((2e-3 + 3e-8 * 1e4, 4e-7))
-    assert (fitted([(1e4, 10, 2.0), (1e4, 20, 1.0)]) >= 0).all()
+    assert (fitted(*np.array([(1e4, 10, 2.0), (1e4, 20, 1.0)]).T) >= 0).all()
 
 
 def test_a_course_costs_what_its_steps_do(city):
@@ -204,7 +205,7 @@ def test_a_course_costs_what_its_steps_do(city):
     assert (small, large) == (40 * 30, 80 * 60)
     measured = [(image, count, 1 + 0.1 * image + 0.01 * count)
                 for image in (small, large) for count in (100, 200)]
-    assert predicted_seconds(measured, city.views, segments) == pytest.approx(
+    assert predicted_seconds(np.array(measured), city.views, segments) == pytest.approx(
         10 * (1 + 0.1 * small + 1) + 5 * (1 + 0.1 * large + 2))
 
 
@@ -295,5 +296,5 @@ def test_a_time_budget_decides_the_steps(item_device, city, monkeypatch):
                         ("predicted_seconds", 3000.0)):
         monkeypatch.setattr(module, name, lambda *_, value=value: value)
     options = resolve({}, {"time_budget": "2m", "schedule": "taming", "exposure": "off"})
-    forecast = Planned(city, options, item_device).forecast()
-    assert (forecast.steps, forecast.seconds) == (8400 * 120 // 3000, 120)  # 28 photos
+    found = forecast(prepare(city, options, item_device), item_device)
+    assert (found.steps, found.seconds) == (8400 * 120 // 3000, 120)  # 28 photos
