@@ -135,7 +135,8 @@ class ExactBuffers:
     def allocate(self, size, exact=False):
         import pyopencl as cl  # clsplat.device must be the first to import it
 
-        return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
+        from clsplat.device.array import Block
+        return Block(cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size), lambda buffer: None)
 
 
 @pytest.fixture(scope="session")

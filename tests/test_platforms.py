@@ -8,6 +8,7 @@ import ast
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -110,13 +111,19 @@ def test_a_training_from_scene_to_picture(elsewhere, tmp_path):
     assert (tmp_path / "cut" / "point_cloud.ply").is_file()
 
 
-def test_a_user_without_a_home(monkeypatch):
-    """As in a container that is run under any number: drivers are found all the same."""
-    def homeless():
-        raise RuntimeError("Could not determine home directory.")
-    monkeypatch.setattr(runtimes.Path, "home", homeless)
-    folder = runtimes._folder_of({"a.icd": "liba.so\n"}, "name")
-    assert (folder / "a.icd").read_text("utf-8") == "liba.so\n"
+def test_intels_runtime_is_found_beside_the_others(monkeypatch, tmp_path):
+    """In a folder that is there while platforms are listed, and needs no home."""
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "libintelocl.so").touch()
+    (tmp_path / "a.icd").write_text("liba.so\n")
+    monkeypatch.setattr(runtimes.sys, "prefix", str(tmp_path))
+    monkeypatch.setattr(runtimes, "SYSTEM_VENDORS", tmp_path)
+    monkeypatch.delenv("OCL_ICD_VENDORS", raising=False)
+    with runtimes.intel_runtime():
+        folder = Path(os.environ["OCL_ICD_VENDORS"])
+        assert {file.read_text("utf-8") for file in folder.iterdir()} == {
+            "liba.so\n", f"{tmp_path}/lib/libintelocl.so\n"}
+    assert "OCL_ICD_VENDORS" not in os.environ and not folder.exists()
 
 
 def foreign(path, text):

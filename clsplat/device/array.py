@@ -40,15 +40,15 @@ class Array:
 
     Attributes
     ----------
-    buffer : a Buffer of pyopencl.
-    block : the Block of a short-lived array, which lives as long as the array.
+    block : of memory, which lives as long as the array.
+    buffer : its Buffer of pyopencl.
     """
 
     __slots__ = ("device", "buffer", "block", "shape", "dtype", "nbytes", "__weakref__")
 
-    def __init__(self, device: Device, buffer: Any, shape: tuple[int, ...], dtype: DTypeLike,
-                 block: Any = None) -> None:
-        self.device, self.buffer, self.shape, self.block = device, buffer, shape, block
+    def __init__(self, device: Device, block: Block, shape: tuple[int, ...], dtype: DTypeLike
+                 ) -> None:
+        self.device, self.block, self.buffer, self.shape = device, block, block.buffer, shape
         self.dtype: np.dtype[Any] = np.dtype(dtype)
         self.nbytes = math.prod(shape) * self.dtype.itemsize
 
@@ -59,14 +59,13 @@ class Array:
         """The first `rows` rows: the same memory, no copy."""
         if rows > self.shape[0]:
             raise ShapeError(f"cannot narrow {self.shape} to {rows} rows")
-        return Array(self.device, self.buffer, (rows, *self.shape[1:]), self.dtype,
-                     self.block)
+        return Array(self.device, self.block, (rows, *self.shape[1:]), self.dtype)
 
     def reshaped(self, *shape: int) -> Array:
         """The same memory under another shape of equal size."""
         if math.prod(shape) != math.prod(self.shape):
             raise ShapeError(f"cannot reshape {self.shape} to {shape}")
-        return Array(self.device, self.buffer, shape, self.dtype, self.block)
+        return Array(self.device, self.block, shape, self.dtype)
 
     def copied(self) -> Array:
         """A persistent Array with the same values."""
@@ -120,19 +119,23 @@ class Reading:
 
 
 class Block:
-    """A block of device memory, which returns to its arena with the last reference to it.
+    """A block of device memory.
 
     Its buffer may be kept by recorded launches (graph.py); the block can be taken again all the
     same.
+
+    Parameters
+    ----------
+    give_back : is called with the buffer when nothing refers to the block any more.
     """
 
-    __slots__ = ("buffer", "_free")
+    __slots__ = ("buffer", "_give_back")
 
-    def __init__(self, buffer: Any, free: list[Any]) -> None:
-        self.buffer, self._free = buffer, free
+    def __init__(self, buffer: Any, give_back: Callable[[Any], None]) -> None:
+        self.buffer, self._give_back = buffer, give_back
 
     def __del__(self) -> None:
-        self._free.append(self.buffer)
+        self._give_back(self.buffer)
 
 
 class Arena:
@@ -166,10 +169,10 @@ class Arena:
                 if free and size <= other <= (MOST_SPARE * size if exact else size)]
         if fits:
             free = self._free[min(fits)]
-            return Block(free.pop(), free)
+            return Block(free.pop(), free.append)
         buffer = self._allocate(size)
         self.managed_bytes += size
-        return Block(buffer, self._free.setdefault(size, []))
+        return Block(buffer, self._free.setdefault(size, []).append)
 
     def free_held(self) -> None:
         """Give back the memory of all blocks that are not in use."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 import warnings
-import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -20,7 +19,7 @@ from clsplat.device.array import Arena, Array, Block
 from clsplat.device.capabilities import probe_capabilities, probe_wave, tuning_of
 from clsplat.device.graph import Graph
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Defines, Kernel
-from clsplat.device.programs import Build, build, define_options, kernel_source, words_of
+from clsplat.device.programs import build, define_options, kernel_source, words_of
 from clsplat.errors import TOO_LARGE, DeviceError, OutOfDeviceMemory
 
 SMALLEST_BYTES = 64  # of a buffer
@@ -83,7 +82,7 @@ class Device:
         self._persistent_bytes = 0  # of the arrays that are still alive
         self.peak_bytes = 0
         self._kernels: dict[tuple[Kernel, Defines, Defines], cl.Kernel] = {}
-        self._programs: dict[tuple[str, Defines], Build] = {}
+        self._programs: dict[tuple[str, Defines, int], Any] = {}
         # built -> types of its scalar arguments, kernels like it that no recording uses
         self._spares: dict[cl.Kernel, tuple[list[Any], list[cl.Kernel]]] = {}
         self.build_seconds = 0.0
@@ -113,9 +112,8 @@ class Device:
 
         Recordings need the same sizes again and again, so that their blocks are exact.
         """
-        if self._recording is None:
-            return self._new(shape, dtype, self._pool.allocate)
-        return self._new(shape, dtype, partial(self._pool.allocate, exact=True))
+        return self._new(shape, dtype,
+                         partial(self._pool.allocate, exact=self._recording is not None))
 
     def result(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
         """As `empty`, for what is read after a recording, whose memory no other launch may use."""
@@ -138,36 +136,32 @@ class Device:
 
     def allocate(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
         """An uninitialised persistent Array, of its exact size."""
-        array = self._new(shape, dtype, self._new_buffer)
-        self._persistent_bytes += array.nbytes
-        # without a list of the arrays, of which there may be thousands
-        weakref.finalize(array, self._freed, array.nbytes).atexit = False
+        array = self._new(shape, dtype, self._new_block)
         self.peak_bytes = max(self.peak_bytes, self.memory_bytes)
         return array
 
-    def _freed(self, nbytes: int) -> None:
-        self._persistent_bytes -= nbytes
-
     def _new(self, shape: Shape, dtype: DTypeLike | None,
-             allocate: Callable[[int], Any]) -> Array:
+             allocate: Callable[[int], Block]) -> Array:
         shape = tuple(map(int, shape)) if isinstance(shape, tuple) else (int(shape),)
         dtype = self.real if dtype is None else np.dtype(dtype)
         size = max(math.prod(shape) * dtype.itemsize, SMALLEST_BYTES)
         self.check_size(size)
         self.allocations += 1
         try:
-            memory = allocate(size)
-            if isinstance(memory, Block):
-                return Array(self, memory.buffer, shape, dtype, memory)
-            return Array(self, memory, shape, dtype)
+            return Array(self, allocate(size), shape, dtype)
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise OutOfDeviceMemory(
                 f"{self.name}: {TOO_LARGE}: no memory for {size >> 20} MiB more "
                 f"({self.memory_bytes >> 20} MiB in use): use --max-gaussians or -r ({error})"
             ) from None
 
-    def _new_buffer(self, size: int) -> cl.Buffer:
-        return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
+    def _new_block(self, size: int) -> Block:
+        block = Block(cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size), self._freed)
+        self._persistent_bytes += size
+        return block
+
+    def _freed(self, buffer: cl.Buffer) -> None:
+        self._persistent_bytes -= buffer.size
 
     def check_size(self, size: int) -> None:
         """Raise OutOfDeviceMemory for an array of `size` bytes, more than one buffer may have."""
@@ -217,15 +211,14 @@ class Device:
         defines : constants of the build.
         values : the kernel's arguments by name, those of both forms and of all builds.
         """
-        call = kernel.bind(self, values, defines)
-        if not call.items:
+        arguments, nbytes, items, group = kernel.bind(self, values, defines)
+        if not items:
             return
-        self.kernel_bytes += call.nbytes
+        self.kernel_bytes += nbytes
         built = self._build(kernel, defines)
         if self._recording is not None:
-            self._recording.add(kernel.function, built, call.items, call.group, call.arguments,
-                                call.nbytes)
-        event = built(self.queue, (call.items,), (call.group,), *call.arguments)
+            self._recording.add(kernel.function, built, items, group, arguments, nbytes)
+        event = built(self.queue, (items,), (group,), *arguments)
         self.launches += 1
         if self._profile is not None:
             self._profile.append((kernel.function, event))
@@ -269,20 +262,19 @@ class Device:
         start = time.perf_counter()
         # without what the source does not name, which would compile the same program again
         defines = tuple((name, value) for name, value in defines if name in words_of(file))
-        program, checked = self._programs.get((file, defines), (None, None))
-        if program is None or checked is not None and kernel.signature not in checked:
+        kernels = [contract for other in Kernel.declared[file]
+                   if (contract := other.contract(self, defines))]
+        key = file, defines, len(kernels)
+        if key not in self._programs:
             options = self._base_options + define_options(defines)
             try:
                 with warnings.catch_warnings():  # runtimes warn of every successful build
                     warnings.simplefilter("ignore", cl.CompilerWarning)
-                    program, checked = build(
-                        self.context, self.handle, kernel_source(file), options, kernel,
-                        [contract for other in Kernel.declared[file]
-                         if (contract := other.contract(self, defines))])
+                    self._programs[key] = build(self.context, self.handle, kernel_source(file),
+                                                options, kernels)
             except cl.Error as error:
                 raise DeviceError(f"{self.name}: {file} does not build:\n{error}") from None
-            self._programs[file, defines] = program, checked
-        built = cl.Kernel(program, kernel.function)
+        built = cl.Kernel(self._programs[key], kernel.function)
         kernel.check_built(built)
         # the type of each argument that is a number, None for arrays
         scalars = [self._dtypes[a] if isinstance(a, str) else None

@@ -9,6 +9,7 @@ import pyopencl as cl
 
 from clsplat.device.capabilities import probe_capabilities, probe_working
 from clsplat.device.device import Device, Handle
+from clsplat.device.runtimes import intel_runtime
 from clsplat.errors import DeviceError
 
 NO_DEVICE = (
@@ -83,7 +84,7 @@ def _enumerate() -> list[ListedDevice]:
     """Every device, not yet tested, in the order of the platforms."""
     entries: list[ListedDevice] = []
     platforms: list[Any] = []
-    with suppress(cl.LogicError):  # raised where there is no platform
+    with suppress(cl.LogicError), intel_runtime():  # raised where there is no platform
         platforms = cl.get_platforms()
     for platform in platforms:
         handles: list[Any] = []

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 class Input:
-    """A number of a recording that each replay may change: it can be passed to kernels, and refuses
-    every other use, as Python would compute once with what a replay changes.
+    """A number of a recording that each replay may change: it can be passed to kernels. It is no
+    number for Python, which would compute once with what a replay changes.
 
     Attributes
     ----------
@@ -35,13 +35,8 @@ class Input:
     def _refuse(self, *_: Any) -> Any:
         raise TypeError(f"a replay changes the number {self.name}: pass it to kernels as it is")
 
-    for _use in ("add", "sub", "mul", "truediv", "floordiv", "mod", "divmod", "pow", "lshift",
-                 "rshift", "and", "xor", "or"):
-        locals()[f"__{_use}__"] = locals()[f"__r{_use}__"] = _refuse
-    for _use in ("neg", "pos", "abs", "invert", "round", "trunc", "floor", "ceil", "float", "int",
-                 "complex", "bool", "index", "eq", "ne", "lt", "le", "gt", "ge", "hash", "iter",
-                 "len", "contains", "getitem", "format", "str", "array"):
-        locals()[f"__{_use}__"] = _refuse
+    # what every object can do; the rest Python refuses by itself
+    __bool__ = __eq__ = __hash__ = __str__ = __format__ = __array__ = _refuse
 
 
 class Graph:
@@ -79,15 +74,6 @@ class Graph:
     def __del__(self) -> None:
         for kernel, spare in self._bound:
             spare.append(kernel)
-
-    def __len__(self) -> int:
-        """The number of commands that a replay enqueues."""
-        return len(self._commands)
-
-    @property
-    def functions(self) -> list[str]:
-        """The kernels in their order; "fill" for a fill."""
-        return [function for function, *_ in self._commands]
 
     def add(self, function: str, kernel: Any, items: int, group: int, arguments: list[Any],
             nbytes: int) -> None:

@@ -80,12 +80,6 @@ class Launch:
     group: str = ""
     arguments: dict[str, Argument | Only] = field(default_factory=dict)
 
-    def __str__(self) -> str:
-        units, group = (" × ".join(text.split()) for text in (self.units, self.group))
-        if self.kind == "items":
-            return f"{units} items" + f", groups of {group}" * (group != "1")
-        return f"each of {units}" if self.kind == "each" else f"{units} groups of {group}"
-
 
 def each(elements: str) -> Launch:
     """Launch a kernel written with FOR_EACH (cl/include/each.h) for this number of elements."""
@@ -151,13 +145,19 @@ class Kernel:
                 self.file, self.function, launch, self._arguments, choices)
         return self._contracts[form, choices]
 
-    def bind(self, device: Device, values: Mapping[str, Any], defines: Defines = ()) -> Call:
+    def bind(self, device: Device, values: Mapping[str, Any], defines: Defines = ()
+             ) -> tuple[list[Any], int, int, int]:
         """Check arguments, and put those of the device's form and of a build in their order.
 
         Parameters
         ----------
         values : the arguments of both forms and of all builds by name.
         defines : the constants of the build.
+
+        Returns
+        -------
+        The arguments, the bytes of the arrays among them, the number of work-items, in complete
+        groups, and that of a group.
 
         Raises
         ------
@@ -168,28 +168,11 @@ class Kernel:
             raise ShapeError(f"{self}: missing or unknown arguments {sorted(wrong)}")
         contract = self.contract(device, defines)
         assert contract is not None, f"{self} has no {device.form} form"
-        return Call(self, *contract.bind(device, values))
+        return contract.bind(device, values)
 
     def units(self, device: Device, **sizes: int) -> int:
         """The number of elements, work-items or groups of a launch with these sizes, by name."""
         return int(self.forms.of(device).units(device, sizes))
-
-
-class Call(NamedTuple):
-    """A kernel and its arguments, checked and in their order.
-
-    Attributes
-    ----------
-    nbytes : bytes of the arrays.
-    items : the number of work-items, in complete groups.
-    group : work-items a group.
-    """
-
-    kernel: Kernel
-    arguments: list[Any]
-    nbytes: int
-    items: int
-    group: int
 
 
 class Contract:
@@ -239,7 +222,7 @@ class Contract:
 
     def bind(self, device: Device,
              values: Mapping[str, Any]) -> tuple[list[Any], int, int, int]:
-        """The last four fields of a `Call`; for the parameters see `Kernel.bind`."""
+        """As `Kernel.bind`, which has checked the names."""
         sizes: dict[Any, int] = self._fixed.copy()
         real, arguments, nbytes = device.real, [], 0
         for name, dtype, shape in self._checks:  # at every launch, so this must be fast

@@ -8,7 +8,6 @@ used: a process that was killed leaves its lock, and the next one waits a minute
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 import time
@@ -29,61 +28,57 @@ if TYPE_CHECKING:
 PLATFORMS = ("Intel(R) OpenCL",)
 INCLUDE = re.compile(r'^#include "(.+)"$')
 KEPT_DAYS = 60  # since its last use
-# a program, and the signatures that are known to fit it: see `build`
-Build = tuple[cl.Program, frozenset[str] | None]
 
 
 def build(context: cl.Context, device: cl.Device, source: str, options: list[str],
-          kernel: Contract, others: Sequence[Contract] = ()) -> Build:
+          kernels: Sequence[Contract]) -> Any:
     """Compile a program for one device, or read it back from the cache.
 
-    A binary has no names of arguments, which are needed to check a kernel's declaration. It is
-    therefore stored with the declarations that fitted, and read back for these only. A program that
-    cannot be read or stored is compiled as if there were no cache.
+    A binary has no names of arguments, which are needed to check a kernel's declaration. So only a
+    program that all declarations fit is stored, and read back for these only. One that cannot be
+    read or stored is compiled as if there were no cache.
 
     Parameters
     ----------
     source : without #include, since a change of an included file would not be noticed.
-    kernel, others : the declarations that are stored if they fit.
+    kernels : all declarations of kernels of this source.
 
     Returns
     -------
-    The program, and the signatures of the declarations that fit it, or None for a program whose
-    arguments have names.
+    A built Program of pyopencl.
 
     Raises
     ------
     cl.Error : the source does not compile.
     """
-    file = _file_of(device, source, options)
-    checked, content = (file and _read(file)) or (frozenset(), b"")
-    if kernel.signature in checked:
+    file = _file_of(device, source, options, kernels)
+    if file and (content := _read(file)):
         with suppress(cl.Error):
-            return cl.Program(context, [device], [content]).build(options), checked
+            return cl.Program(context, [device], [content]).build(options)
     program = cl.Program(context, source).build(options)
-    if file:
-        fitting = {each.signature for each in (kernel, *others) if _fits(program, each)}
-        _keep(file, sorted(fitting), program.get_info(cl.program_info.BINARIES)[0])
-    return program, None
+    if file and all(_fits(program, kernel) for kernel in kernels):
+        _keep(file, program.get_info(cl.program_info.BINARIES)[0])
+    return program
 
 
 def _fits(program: cl.Program, kernel: Contract) -> bool:
-    """Whether the program has this kernel and not only one of the same name, of the other form."""
-    if kernel.function not in program.kernel_names.split(";"):
-        return False
-    with suppress(DeviceError):
-        kernel.check_built(cl.Kernel(program, kernel.function))
-        return True
-    return False
+    """Whether a kernel is declared as the program has it, if it does: some builds lack some."""
+    if kernel.function in program.kernel_names.split(";"):
+        try:
+            kernel.check_built(cl.Kernel(program, kernel.function))
+        except DeviceError:
+            return False
+    return True
 
 
-def _file_of(device: cl.Device, source: str, options: list[str]) -> Path | None:
+def _file_of(device: cl.Device, source: str, options: list[str], kernels: Sequence[Contract]
+             ) -> Path | None:
     """The file of this program; None for a platform with its own cache, or a user without a home.
     """
     if device.platform.name not in PLATFORMS:
         return None
-    words = (source, options, device.platform.version, device.name, device.version,
-             device.driver_version)
+    words = (source, options, sorted(kernel.signature for kernel in kernels),
+             device.platform.version, device.name, device.version, device.driver_version)
     try:
         return Path.home() / ".cache" / "clsplat" / "kernels" / _digest(repr(words).encode()).hex()
     except RuntimeError:  # a container's user who has no home
@@ -94,27 +89,21 @@ def _digest(content: bytes) -> bytes:
     return hashlib.sha256(content).digest()
 
 
-def _read(file: Path) -> tuple[frozenset[str], bytes] | None:
-    """Signatures and binary of a file; None where it is missing or damaged: runtimes crash on
-    damaged binaries."""
-    try:
-        content = file.read_bytes()
-        digest, rest = content[:32], content[32:]
-        if digest != _digest(rest):
-            return None
-        os.utime(file)
-    except OSError:
-        return None
-    head, _, content = rest.partition(b"\n")
-    return frozenset(json.loads(head)), content
+def _read(file: Path) -> bytes:
+    """The binary in a file; none where it is missing or damaged, as runtimes crash on these."""
+    with suppress(OSError):
+        stored = file.read_bytes()
+        if stored[:32] == _digest(stored[32:]):
+            os.utime(file)
+            return stored[32:]
+    return b""
 
 
-def _keep(file: Path, signatures: Iterable[str], content: bytes) -> None:
-    rest = json.dumps(signatures).encode() + b"\n" + content
+def _keep(file: Path, content: bytes) -> None:
     temporary = file.with_name(f"{file.name}-{os.getpid()}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(_digest(rest) + rest)
+        temporary.write_bytes(_digest(content) + content)
         temporary.replace(file)
         for other in file.parent.iterdir():
             if time.time() - other.stat().st_mtime > KEPT_DAYS * 86400:

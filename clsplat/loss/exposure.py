@@ -98,15 +98,15 @@ class Exposures:
         sums = TRANSFORM_REALS + VIGNETTING_TERMS * self.has_vignetting
         partials = device.empty((blocks, sums))
         grad_image = device.empty(image.shape)
-        device.launch(ADJOINT, (("WITH_RESPONSE", 1), *self._defines), pixels=width * height,
-                      width=width, blocks=blocks, view=view, transforms=self.transforms,
-                      camera=camera, lens_of=self.lens_of, lenses=self.lenses, image=image,
-                      grad=grad, grad_image=grad_image, partials=partials)
+        device.launch(ADJOINT, self._defines, pixels=width * height, width=width, blocks=blocks,
+                      view=view, transforms=self.transforms, camera=camera, lens_of=self.lens_of,
+                      lenses=self.lenses, image=image, grad=grad, grad_image=grad_image,
+                      partials=partials)
         return grad_image, partials
 
     @property
     def _defines(self) -> Defines:
-        return (("WITH_VIGNETTING", int(self.has_vignetting)),)
+        return ("WITH_RESPONSE", 1), ("WITH_VIGNETTING", int(self.has_vignetting))
 
     def step(self, view: int, partials: Array, counts: Array) -> None:
         """Take one step of Adam on a view's transform and its lens; does not wait for the device.

@@ -29,8 +29,8 @@ def folder(float_device, tmp_path, monkeypatch):
     return tmp_path / ".cache" / "clsplat" / "kernels"
 
 
-def build(device, source=SOURCE, options=("-cl-kernel-arg-info",), kernel=TWICE, others=()):
-    return programs.build(device.context, device.handle, source, list(options), kernel, others)[0]
+def build(device, source=SOURCE, options=("-cl-kernel-arg-info",), kernels=(TWICE,)):
+    return programs.build(device.context, device.handle, source, list(options), kernels)
 
 
 def was_compiled(program):
@@ -63,7 +63,7 @@ def test_the_name_of_a_binary_covers_what_its_source_includes(
         float_device, folder, tmp_path, monkeypatch, name):
     def named():
         texts = [programs.kernel_source.__wrapped__(file) for file in ("compact.cl", "gather.cl")]
-        return [programs._file_of(float_device.handle, text, []) for text in texts]
+        return [programs._file_of(float_device.handle, text, [], []) for text in texts]
 
     copy = tmp_path / "cl"
     shutil.copytree(programs.kernel_folder(), copy)

@@ -22,9 +22,20 @@ def table():
                                   + (f" ({kernel.only[name]})" if name in kernel.only else "")
                                   for name, (kind, *shape) in arrays.items())
                 item, group = kernel.launches
-                lines.append(f"| {family.stem} | {kernel.function} | {shown} | {item or 'none'} | "
-                             f"{'the same' if item == group else group} |")
+                forms = shape_of(item), "the same" if item == group else shape_of(group)
+                lines.append(f"| {family.stem} | {kernel.function} | {shown} | "
+                             f"{' | '.join(forms)} |")
     return "\n".join(lines) + "\n"
+
+
+def shape_of(launch):
+    """Over what a form runs."""
+    if launch is None:
+        return "none"
+    units, group = (" × ".join(text.split()) for text in (launch.units, launch.group))
+    if launch.kind == "items":
+        return f"{units} items" + f", groups of {group}" * (group != "1")
+    return f"each of {units}" if launch.kind == "each" else f"{units} groups of {group}"
 
 
 def test_the_page_lists_every_kernel():
