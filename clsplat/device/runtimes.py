@@ -5,7 +5,6 @@ it was built on, and the loader reads only one folder, once: when platforms are 
 """
 
 import os
-import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,7 +28,7 @@ def intel_runtime() -> Iterator[None]:
         return
     with TemporaryDirectory(prefix="clsplat-icd-") as folder:
         for icd in SYSTEM_VENDORS.glob("*.icd"):
-            shutil.copy(icd, folder)
+            Path(folder, icd.name).write_bytes(icd.read_bytes())
         Path(folder, "clsplat-intel-cpu.icd").write_text(f"{library}\n", encoding="utf-8")
         os.environ["OCL_ICD_VENDORS"] = folder
         try:
