@@ -18,7 +18,7 @@ from clsplat.edit.transform import transformed
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run, shown
 from clsplat.gaussians import Gaussians
-from clsplat.io.fields import numbers, reading, table
+from clsplat.io.fields import LARGEST_COORDINATE, reading
 from clsplat.io.georeference.crs import conversion
 from clsplat.io.models.formats import read_with_notes
 from clsplat.io.models.values import Notes, mode_comment
@@ -29,8 +29,6 @@ from clsplat.partition.region import map_axes
 
 GEOJSON = (".geojson", ".json")
 DEGREES = "OGC:CRS84"  # longitude and latitude, which RFC 7946 prescribes
-MEMBERS = {"FeatureCollection": "features", "GeometryCollection": "geometries"}
-OTHERS = ("Point", "MultiPoint", "LineString", "MultiLineString")
 Polygon = list[NDArray[np.float64]]  # the outline and the holes, [K, 2]
 
 
@@ -116,7 +114,11 @@ class Source:
                                  "place on a map is unknown; give corners in its own coordinates")
             crs = crs or DEGREES
         else:
-            polygons = [[_corners(text)]]
+            try:
+                polygons = [[_ring([corner.split(",") for corner in text.split()])]]
+            except ValueError:
+                raise InputError(f"--polygon {text[:60]}: expects at least three corners such as "
+                                 "\"0,0 10,0 10,10\", or a GeoJSON file") from None
         if crs and place is not None:
             convert = conversion(crs, place.crs, "--polygon")
             polygons = [[convert(ring) - place.offset[:2] for ring in rings] for rings in polygons]
@@ -159,19 +161,6 @@ def joined(sources: Sequence[Source]) -> Source:
     return replace(first, gaussians=merged(models), run=None)
 
 
-def _corners(text: str) -> NDArray[np.float64]:
-    try:
-        corners = np.array([[float(value) for value in corner.split(",")]
-                            for corner in text.split()])
-    except ValueError:
-        corners = np.empty(0)
-    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(
-            corners).all():
-        raise InputError(f"--polygon {text[:60]}: expects at least three corners such as "
-                         "\"0,0 10,0 10,10\", or a GeoJSON file")
-    return corners
-
-
 def read_polygons(path: str | Path) -> tuple[list[Polygon], str]:
     """Read the polygons of a GeoJSON file (RFC 7946, and older ones that name their CRS), and that
     CRS, "" without one; geometries of other kinds are left out."""
@@ -180,36 +169,36 @@ def read_polygons(path: str | Path) -> tuple[list[Polygon], str]:
         polygons = list(_polygons(record))
     if not polygons:
         raise InputError(f"{path}: has no polygon; draw one, or give another file")
-    try:
-        crs = str(record["crs"]["properties"]["name"])  # of older files, as pyproj accepts it
-    except (KeyError, TypeError, IndexError):
-        crs = ""
-    return polygons, crs
+    match record:
+        case {"crs": {"properties": {"name": str(crs)}}}:  # of older files, as pyproj accepts it
+            return polygons, crs
+    return polygons, ""
 
 
 def _polygons(item: Any) -> Iterator[Polygon]:
     """The polygons of a geometry, a feature or a collection."""
-    kind = table(item, "a feature or geometry").get("type")
-    if kind in MEMBERS:
-        for member in _list(item.get(MEMBERS[kind])):
-            yield from _polygons(member)
-    elif kind == "Feature":
-        if item.get("geometry") is not None:  # it may have no place
-            yield from _polygons(item["geometry"])
-    elif kind == "Polygon":
-        yield _rings(item.get("coordinates"))
-    elif kind == "MultiPolygon":
-        yield from map(_rings, _list(item.get("coordinates")))
-    elif kind not in OTHERS:
-        raise ValueError(f"type is {str(kind)[:20]!r}")
+    match item:
+        case ({"type": "FeatureCollection", "features": [*members]}
+              | {"type": "GeometryCollection", "geometries": [*members]}):
+            for member in members:
+                yield from _polygons(member)
+        case {"type": "Feature", "geometry": geometry}:
+            if geometry is not None:  # it may have no place
+                yield from _polygons(geometry)
+        case {"type": "Polygon", "coordinates": [_, *_] as rings}:
+            yield [_ring(ring) for ring in rings]
+        case {"type": "MultiPolygon", "coordinates": [*polygons]}:
+            for rings in polygons:
+                yield from _polygons({"type": "Polygon", "coordinates": rings})
+        case {"type": "Point" | "MultiPoint" | "LineString" | "MultiLineString"}:
+            pass
+        case _:
+            raise ValueError("what it holds is no feature or geometry")
 
 
-def _rings(rings: Any) -> Polygon:
-    return [np.array([numbers(_list(corner, 2)[:2], 2, "a corner of a polygon")
-                      for corner in _list(ring, 3)]) for ring in _list(rings, 1)]
-
-
-def _list(values: Any, least: int = 0) -> list[Any]:
-    if not isinstance(values, list) or len(values) < least:
-        raise ValueError("a list is missing, or too short for a polygon")
-    return values
+def _ring(corners: Sequence[Sequence[Any]]) -> NDArray[np.float64]:
+    """The corners [K, 2] of a polygon, without their heights."""
+    ring = np.array([corner[:2] for corner in corners], np.float64)
+    if ring.shape[1:] != (2,) or len(ring) < 3 or not (abs(ring) <= LARGEST_COORDINATE).all():
+        raise ValueError("a polygon needs at least three corners of usable numbers")
+    return ring
