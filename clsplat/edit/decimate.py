@@ -7,7 +7,7 @@ holes where many faint ones lay over each other (docs/guide/edit.md has the meas
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,27 +28,6 @@ MOST_OPACITY = 0.99  # of a merged gaussian, as in the renderer
 TINY = 1e-300
 
 
-@dataclass(eq=False)
-class _Mixture:
-    """Gaussians while they are merged; arrays have a row each."""
-
-    source: NDArray[np.intp]  # [N], the row of the model that it was, or one of those
-    merged: NDArray[np.bool_]  # [N], whether it is more than one row of the model
-    positions: NDArray[np.float64]  # [N, 3]
-    covariances: NDArray[np.float64]  # [N, 3, 3]
-    sh: NDArray[np.float32]  # [N, 1 + bands, 3]
-    opacities: NDArray[np.float64]  # [N]
-    masses: NDArray[np.float64]  # [N], opacity times area: how much of an image it covers
-
-    @property
-    def count(self) -> int:
-        return len(self.source)
-
-    def keep(self, rows: NDArray[np.bool_]) -> None:
-        for field in fields(self):
-            setattr(self, field.name, getattr(self, field.name)[rows])
-
-
 def decimated(gaussians: Gaussians, count: int,
               progress: Callable[[int, int], object] | None = None) -> Gaussians:
     """A model of fewer gaussians that looks almost the same.
@@ -66,37 +45,44 @@ def decimated(gaussians: Gaussians, count: int,
     gaussians = gaussians.without_spheres()
     count = max(1, count)
     mixture, goal = _mixture(gaussians), gaussians.count - count
-    while mixture.count > count:
-        most = min(mixture.count - count, max(1, int(ROUND_SHARE * mixture.count)))
-        _merge(mixture, *_cheapest_pairs(mixture, most))
+    while len(mixture) > count:
+        most = min(len(mixture) - count, max(1, int(ROUND_SHARE * len(mixture))))
+        mixture = _merged(mixture, *_cheapest_pairs(mixture, most))
         if progress:
-            progress(gaussians.count - mixture.count, goal)
+            progress(gaussians.count - len(mixture), goal)
     return _model(gaussians, mixture) if goal > 0 else gaussians
 
 
-def _mixture(gaussians: Gaussians) -> _Mixture:
-    sigmas = np.exp(gaussians.log_scales.astype(np.float64))
-    opacity, axes = opacities(gaussians), half_axes(gaussians)
-    masses = opacity * np.sort(sigmas, axis=1)[:, 1:].prod(axis=1)
-    return _Mixture(
-        np.arange(gaussians.count), np.zeros(gaussians.count, bool),
-        gaussians.positions.astype(np.float64), axes @ axes.transpose(0, 2, 1),
-        np.concatenate([gaussians.sh_constant[:, None], gaussians.sh_rest], axis=1), opacity,
-        masses)
+def _mixture(gaussians: Gaussians) -> NDArray[Any]:
+    """A table of the gaussians. `source`: the row of the model that it was, or one of these; `mass`
+    : opacity times area, how much of an image it covers."""
+    mixture = np.zeros(gaussians.count, [
+        ("source", np.intp), ("is_merged", bool), ("position", np.float64, 3),
+        ("covariance", np.float64, (3, 3)), ("opacity", np.float64), ("mass", np.float64),
+        ("sh", np.float32, (1 + gaussians.sh_rest.shape[1], 3))])
+    axes, sigmas = half_axes(gaussians), np.exp(gaussians.log_scales.astype(np.float64))
+    mixture["source"] = np.arange(gaussians.count)
+    mixture["position"] = gaussians.positions
+    mixture["covariance"] = axes @ axes.transpose(0, 2, 1)
+    mixture["opacity"] = opacities(gaussians)
+    mixture["mass"] = mixture["opacity"] * np.sort(sigmas, axis=1)[:, 1:].prod(axis=1)
+    mixture["sh"][:, 0], mixture["sh"][:, 1:] = gaussians.sh_constant, gaussians.sh_rest
+    return mixture
 
 
-def _cheapest_pairs(mixture: _Mixture, most: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _cheapest_pairs(mixture: NDArray[Any], most: int
+                    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Disjoint pairs of neighbours, at least one and at most `most`, the cheapest first."""
-    neighbours = min(NEIGHBOURS, mixture.count - 1)
-    found = cKDTree(mixture.positions).query(mixture.positions, k=neighbours + 1)[1]
-    one, other = np.repeat(np.arange(mixture.count), neighbours + 1), found.ravel()
+    positions, masses = mixture["position"], mixture["mass"]
+    neighbours = min(NEIGHBOURS, len(mixture) - 1)
+    found = cKDTree(positions).query(positions, k=neighbours + 1)[1]
+    one, other = np.repeat(np.arange(len(mixture)), neighbours + 1), found.ravel()
     one, other = one[one != other], other[one != other]
-    size = np.trace(mixture.covariances, axis1=1, axis2=2) / 3 + TINY
-    colours = SH_C0 * mixture.sh[:, 0].astype(np.float64)
-    apart = ((mixture.positions[one] - mixture.positions[other]) ** 2).sum(axis=1)
+    size = np.trace(mixture["covariance"], axis1=1, axis2=2) / 3 + TINY
+    colours = SH_C0 * mixture["sh"][:, 0].astype(np.float64)
+    apart = ((positions[one] - positions[other]) ** 2).sum(axis=1)
     # the sum of mass times squared way of both ends to their mean, as a share of the way between
-    price = mixture.masses[one] * mixture.masses[other] / (
-        mixture.masses[one] + mixture.masses[other] + TINY)
+    price = masses[one] * masses[other] / (masses[one] + masses[other] + TINY)
     cost = (price + TINY) * (
         apart / (size[one] + size[other])
         + COLOUR_WEIGHT * ((colours[one] - colours[other]) ** 2).sum(axis=1)
@@ -104,45 +90,44 @@ def _cheapest_pairs(mixture: _Mixture, most: int) -> tuple[NDArray[np.intp], NDA
     order = np.argsort(cost, kind="stable")
     one, other, place = one[order], other[order], np.arange(len(order))
     # a pair is taken if it is the cheapest of both its ends
-    first = np.full(mixture.count, len(order))
+    first = np.full(len(mixture), len(order))
     for ends in (one, other):
         np.minimum.at(first, ends, place)
     taken = (first[one] == place) & (first[other] == place)
     return one[taken][:most], other[taken][:most]
 
 
-def _merge(mixture: _Mixture, one: NDArray[np.intp], other: NDArray[np.intp]) -> None:
-    """Merge pairs of gaussians into the first of each."""
-    share = mixture.masses[one] / np.maximum(mixture.masses[one] + mixture.masses[other], TINY)
-    mean = mixture.positions[other] + share[:, None] * (
-        mixture.positions[one] - mixture.positions[other])
+def _merged(mixture: NDArray[Any], one: NDArray[np.intp], other: NDArray[np.intp]) -> NDArray[Any]:
+    """The table after pairs of its rows are merged."""
+    first, second = mixture[one], mixture[other]
+    mass = first["mass"] + second["mass"]
+    share = (first["mass"] / np.maximum(mass, TINY))[:, None]
+    mean = second["position"] + share * (first["position"] - second["position"])
     covariance = np.zeros((len(one), 3, 3))
-    for rows, part in ((one, share), (other, 1 - share)):
-        away = mixture.positions[rows] - mean
-        covariance += part[:, None, None] * (
-            mixture.covariances[rows] + away[:, :, None] * away[:, None])
-    part = share[:, None, None].astype(np.float32)
-    mixture.sh[one] = part * mixture.sh[one] + (1 - part) * mixture.sh[other]
-    mixture.positions[one], mixture.covariances[one] = mean, covariance
+    for rows, part in ((first, share), (second, 1 - share)):
+        away = rows["position"] - mean
+        covariance += part[..., None] * (
+            rows["covariance"] + away[:, :, None] * away[:, None])
     variances = np.linalg.eigvalsh(covariance)
     area = np.sqrt(np.maximum(variances[:, 1] * variances[:, 2], TINY))
-    mass = mixture.masses[one] + mixture.masses[other]
-    mixture.opacities[one] = np.minimum(mass / area, MOST_OPACITY)
-    mixture.masses[one] = mixture.opacities[one] * area
-    mixture.merged[one] = True
-    rest = np.ones(mixture.count, bool)
-    rest[other] = False
-    mixture.keep(rest)
+    part = share[..., None].astype(np.float32)
+    first["sh"] = part * first["sh"] + (1 - part) * second["sh"]
+    first["position"], first["covariance"], first["is_merged"] = mean, covariance, True
+    first["opacity"] = np.minimum(mass / area, MOST_OPACITY)
+    first["mass"] = first["opacity"] * area
+    mixture[one] = first
+    return np.delete(mixture, other)
 
 
-def _model(gaussians: Gaussians, mixture: _Mixture) -> Gaussians:
-    rows = {name: values[mixture.source] for name, values in gaussians.rows.items()}
-    new = mixture.merged
-    variances, axes = np.linalg.eigh(mixture.covariances[new])
+def _model(gaussians: Gaussians, mixture: NDArray[Any]) -> Gaussians:
+    rows = {name: values[mixture["source"]] for name, values in gaussians.rows.items()}
+    at = mixture["is_merged"]
+    new = mixture[at]
+    variances, axes = np.linalg.eigh(new["covariance"])
     axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]  # else some were mirrored
-    rows["positions"][new] = mixture.positions[new]
-    rows["sh_constant"][new], rows["sh_rest"][new] = mixture.sh[new, 0], mixture.sh[new, 1:]
-    rows["opacity_logits"][new] = logit(np.maximum(mixture.opacities[new], TINY))
-    rows["log_scales"][new] = np.log(np.maximum(variances, np.finfo(np.float32).tiny)) / 2
-    rows["quaternions"][new] = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+    rows["positions"][at] = new["position"]
+    rows["sh_constant"][at], rows["sh_rest"][at] = new["sh"][:, 0], new["sh"][:, 1:]
+    rows["opacity_logits"][at] = logit(np.maximum(new["opacity"], TINY))
+    rows["log_scales"][at] = np.log(np.maximum(variances, np.finfo(np.float32).tiny)) / 2
+    rows["quaternions"][at] = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
     return Gaussians(rows, gaussians.sh_degree, gaussians.offset)
