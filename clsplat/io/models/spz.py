@@ -8,6 +8,7 @@ right, down, forward, after half a turn about x.
 """
 
 import io
+import math
 import re
 import struct
 import zlib
@@ -67,11 +68,6 @@ class _Header(NamedTuple):
     flags: int
     streams: int
 
-    @property
-    def widths(self) -> tuple[int, ...]:
-        """The bytes of a gaussian in each part."""
-        return 9, 1, 3, 3, ROTATION_BYTES[self.version], 3 * ((self.degree + 1) ** 2 - 1)
-
 
 def write_spz(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     """Write gaussians as SPZ; see `models.write_model`.
@@ -116,27 +112,29 @@ def read_spz(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
     """Read a SPZ file; see `models.read_with_notes`."""
     with reading(path, "a SPZ file"):
         data = read_regular(path)
-        header = _header(data)
         return (gaussians_of(path, unpacked_spz(data), _origin(data), offset),
-                Notes((MIP,) if header.flags & ANTIALIASED else ()))
+                Notes((MIP,) if _header(data).flags & ANTIALIASED else ()))
 
 
 def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
     """The fields of `gaussians.LEARNED` of a SPZ file's content, positions relative to its origin;
     ValueError if it is damaged."""
     header = _header(data)
-    count, widths = header.number, header.widths
-    sizes = [count * width for width in widths]
-    check_rows(len(data), count, widths[-1] // 3)
+    count, bands = header.number, (header.degree + 1) ** 2 - 1
+    check_rows(len(data), count, bands)
+    shapes = [(count, *shape) for shape in (
+        (9,), (1,), (3,), (3,), (ROTATION_BYTES[header.version],), (bands, 3))]
     in_streams = header.version == WITH_STREAMS and (header.streams or not count)
-    contents = (_streams if in_streams else _stream)(data, header, sizes)
+    contents = (_streams if in_streams else _stream)(data, header, list(map(math.prod, shapes)))
     position, opacity, colour, scale, rotation, sh = (
-        np.frombuffer(content, np.uint8).reshape(count, width)
-        for content, width in zip(contents, widths))
+        np.frombuffer(content, np.uint8).reshape(shape)
+        for content, shape in zip(contents, shapes))
+    fixed = np.zeros((count, 3, 4), np.uint8)
+    fixed[..., 1:] = position.reshape(count, 3, 3)  # the upper bytes keep the sign
     return half_turn({
-        "positions": _positions(position, header.bits),
+        "positions": (fixed.view("<i4")[..., 0] >> 8) / 2.0**header.bits,
         "sh_constant": COLOURS.values(colour),
-        "sh_rest": HARMONICS.values(sh.reshape(count, widths[-1] // 3, 3)),
+        "sh_rest": HARMONICS.values(sh),
         "opacity_logits": byte_logits(opacity[:, 0]),
         "log_scales": LOG_SCALES.values(scale),
         "quaternions": _rotations(rotation),
@@ -148,9 +146,11 @@ def _header(data: bytes) -> _Header:
         data = zlib.decompressobj(zlib.MAX_WBITS | 16).decompress(data, HEADER.size)
     magic, *numbers = HEADER.unpack_from(data)
     header = _Header(*numbers)
-    if magic != MAGIC or header.version not in ROTATION_BYTES:
+    if magic != MAGIC:
+        raise ValueError("its header is another")
+    if header.version not in ROTATION_BYTES:
         raise ValueError(f"versions {min(ROTATION_BYTES)} to {WITH_STREAMS} are read, not "
-                         f"{header.version}" if magic == MAGIC else "its header is another")
+                         f"{header.version}")
     if header.degree > HIGHEST_DEGREE or header.bits > MOST_FRACTIONAL_BITS:
         raise ValueError(f"SH degree {header.degree}, {header.bits} fractional bits")
     if header.flags & EXTENDED:
@@ -159,17 +159,17 @@ def _header(data: bytes) -> _Header:
 
 
 def _stream(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
-    """The parts of a file that is one gzip stream."""
-    size = sum(sizes)
-    ended = data.startswith(MAGIC)  # it was unpacked on its way, as servers do
+    """The parts of a file that is one gzip stream, or was unpacked on its way, as servers do."""
+    size = HEADER.size + sum(sizes)
+    ended = data.startswith(MAGIC)
     if not ended:
         stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
-        data = stream.decompress(data, HEADER.size + size + 1)
+        data = stream.decompress(data, size + 1)
         ended = stream.eof  # where the checksum was compared
-    content = data[HEADER.size:]
-    if len(content) != size or not ended:
+    if len(data) != size or not ended:
         raise ValueError(f"its {header.number} gaussians have another size")
-    return [content[end - size:end] for end, size in zip(np.cumsum(sizes), sizes)]
+    content = io.BytesIO(data[HEADER.size:])
+    return [content.read(size) for size in sizes]
 
 
 def _streams(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
@@ -180,26 +180,19 @@ def _streams(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
         raise ImportError("SPZ of version 4 needs zstandard; `pip install zstandard`") from None
     _, table = HEADER_4.unpack_from(data)
     at = table + header.streams * ENTRY.size
-    if header.streams != sum(map(bool, sizes)) or not HEADER_4.size <= table <= at <= len(data):
+    if header.streams != sum(map(bool, sizes)):
         raise ValueError(f"its table of {header.streams} streams does not fit")
     entries, parts = ENTRY.iter_unpack(data[table:at]), []
     for size in sizes:
         packed, claimed = next(entries) if size else (0, 0)
-        if claimed != size or packed > len(data) - at:
+        if claimed != size:
             raise ValueError(f"a stream of {size} bytes claims to hold {claimed}")
-        stream = zstandard.ZstdDecompressor().stream_reader(io.BytesIO(data[at:at + packed]))
+        stream = zstandard.ZstdDecompressor().stream_reader(data[at:at + packed])
         parts.append(stream.read(size + 1) if size else b"")
         if len(parts[-1]) != size:
             raise ValueError("it holds more or less than its header claims")
         at += packed
     return parts
-
-
-def _positions(data: NDArray[np.uint8], bits: int) -> NDArray[np.float64]:
-    """Positions of 24 bits, with `bits` below one."""
-    fixed = np.zeros((len(data), 3, 4), np.uint8)
-    fixed[..., 1:] = data.reshape(len(data), 3, 3)  # the upper bytes keep the sign
-    return np.asarray((fixed.view("<i4")[..., 0] >> 8) / 2.0**bits, np.float64)
 
 
 def _fractional_bits(path: Path, positions: NDArray[np.float64], log_scales: NDArray[np.float32]

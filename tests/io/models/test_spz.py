@@ -58,7 +58,7 @@ def frame(content):
 
 @pytest.mark.parametrize("options, words", [
     ({"number": 255}, "table of 255 streams"),
-    ({"change": lambda t: [(1 << 60, 63), *t[1:]]}, "claims to hold"),
+    ({"change": lambda t: [(1 << 60, 63), *t[1:]]}, "more or less"),
     ({"change": lambda t: [(t[0][0], 1 << 50), *t[1:]]}, "claims to hold 1125899906842624"),
     ({"flags": 2, "extra": struct.pack("<II", 0x12340001, 0)}, "extensions are not read"),
     ({"fourth": True}, "SH degree 4"),
