@@ -27,30 +27,24 @@ def render(model: Path, scene: Path | None, output: Path, views: str, beside: bo
 
     A city that was merged with --tree is read in parts, and need not fit memory.
     """
-    from functools import partial
-
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run, has_tree, open_tree, scene_of_views, to_render
     from clsplat.evaluation.views import opened, render_view, render_views
     run = Run.open(model) if model.is_dir() else None
     most = host_bytes(host_memory, model)
-    if run and has_tree(run):
+    if not (run and has_tree(run)):
+        gaussians, data, options = to_render(model, scene)
+        renderer, rows, degree = opened(choose_device(device), gaussians, data, options)
+        away = gaussians.offset - data.offset
+    else:
         options = run.options
         data = scene_of_views(run, scene).reduced(options.downscale, options.max_resolution)
-    else:
-        gaussians, data, options = to_render(model, scene)
+        renderer, rows = open_tree(run, choose_device(device), data.near(options.near), most)
+        degree, away = rows.sh_degree, rows.offset - data.offset
     train, test = data.split(options.test_every, options.test_offset)
     chosen = {"all": data.views, "train": train, "test": test}[views]
     if not chosen:
         raise InputError(f"{data.name}: has no {views} views; choose others with --views")
-    if run and has_tree(run):
-        renderer, tree = open_tree(run, choose_device(device), data.near(options.near), most)
-        render_views(lambda camera: render_view(
-            renderer, tree, tree.sh_degree, camera.shifted(tree.offset - data.offset)),
-            chosen, output, beside)
-        share = renderer.drawn / (len(chosen) * tree.count)
-        click.echo(f"{share:.1%} of {tree.count:,} gaussians drawn, mean of the views")
-    else:
-        draw = partial(render_view, *opened(choose_device(device), gaussians, data, options))
-        render_views(draw, chosen, output, beside)
+    render_views(lambda camera: render_view(renderer, rows, degree, camera.shifted(away)), chosen,
+                 output, beside)
     click.echo(f"{len(chosen)} pictures: {output}")

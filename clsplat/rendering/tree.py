@@ -76,31 +76,24 @@ class NodeParts:
 
     def seen(self, _camera: Camera, _near: float, _low_pass: float = LOW_PASS) -> list[slice]:
         """Slices of all rows: the nodes were chosen for the camera."""
-        groups, begin = [], 0
-        for first, end in zip(self._firsts, self._firsts[1:]):
-            if first > begin and end - begin > PART_ROWS:
-                groups.append(slice(begin, int(first)))
-                begin = int(first)
-        return [*groups, slice(begin, self.count)] if self.count else groups
+        return [slice(begin, min(begin + PART_ROWS, self.count))
+                for begin in range(0, self.count, PART_ROWS)]
 
     def read(self, name: str, rows: slice | NDArray[np.int64]) -> NDArray[np.float32]:
-        """float32[M, *row shape]: a field of these rows; a slice has whole nodes."""
+        """float32[M, *row shape]: a field of these rows."""
         if isinstance(rows, slice):
-            inside = slice(*np.searchsorted(self._firsts, (rows.start, rows.stop)))
-            return np.concatenate([self._tree.read(node, name) for node in self._nodes[inside]])
+            rows = np.arange(rows.start, rows.stop)
         place = np.searchsorted(self._firsts, rows, side="right") - 1
         order = np.argsort(place, kind="stable")
-        ends = np.searchsorted(place[order], np.arange(len(self._nodes) + 1))
         values = np.empty((len(rows), *FIELDS[name].row_shape(self._tree.sh_degree)), np.float32)
-        for number in np.unique(place):
-            to = order[ends[number]:ends[number + 1]]
-            values[to] = self._tree.read(self._nodes[number], name)[
-                rows[to] - self._firsts[number]]
+        for to in np.split(order, np.flatnonzero(np.diff(place[order])) + 1):
+            node = place[to[0]]
+            values[to] = self._tree.read(self._nodes[node], name)[rows[to] - self._firsts[node]]
         return values
 
 
 class TreeRenderer:
-    """Renders trees; a `ModelRenderer` whose rows are a Tree.
+    """Renders trees; a `ModelRenderer` whose rows are a Tree and whose camera stays as it is.
 
     Parameters
     ----------
@@ -109,10 +102,6 @@ class TreeRenderer:
     host_bytes : of host memory for what is drawn; on a device whose memory is the host's, for its
         arrays too. More is taken where the chosen nodes have more gaussians than a 32nd of this.
     limit : gaussians that are drawn at a time; None: as many as memory allows.
-
-    Attributes
-    ----------
-    drawn : gaussians of the chosen nodes, all frames together.
     """
 
     def __init__(self, device: Device, tree: Tree, near: float, antialiased: bool = False,
@@ -128,7 +117,6 @@ class TreeRenderer:
         self._slabs = SlabRenderer(*settings, self._limit)
         self._chosen: NDArray[np.intp] = np.empty(0, np.intp)  # of what is on the device
         self._rows: dict[str, Array] = {}
-        self.drawn = 0
 
     def pack(self, camera: Camera) -> Camera:
         """The camera as `render` expects it."""
@@ -139,7 +127,6 @@ class TreeRenderer:
         """Render a tree; arguments as for `pipeline.Renderer.render`."""
         chosen = choose(tree, camera, self._pixels, self.near, self._renderer.low_pass)
         parts = NodeParts(tree, chosen)
-        self.drawn += parts.count
         if not 0 < parts.count <= self._limit:
             self._rows = {}
             return self._slabs.render(parts, self._slabs.pack(camera), width, height, sh_degree,
