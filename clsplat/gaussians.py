@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -97,7 +97,13 @@ class Gaussians:
         count = next(iter(np.shape(self.rows.get("positions", 0.0))), 0)
         for known in FIELDS:
             if known in LEARNED or known.name in self.rows:
-                check_field(known, self.rows.get(known.name), count, self.sh_degree)
+                values, shape = self.rows.get(known.name), (count, *known.row_shape(self.sh_degree))
+                if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
+                    kind = getattr(values, "dtype", type(values).__name__)
+                    raise InputError(f"{known.name}: is {kind}; give a numpy array of real numbers")
+                if values.shape != shape:
+                    raise InputError(f"{known.name}: has shape {values.shape}, not {shape}, which "
+                                     f"{count:,} gaussians of SH degree {self.sh_degree} have")
         if np.shape(self.offset) != (3,) or not np.isfinite(self.offset).all():
             raise InputError(f"offset {self.offset!r}: expects three finite numbers")
 
@@ -200,19 +206,6 @@ class Gaussians:
 
     def __repr__(self) -> str:
         return f"<clsplat.Gaussians: {self.count:,}, SH degree {self.sh_degree}>"
-
-
-def check_field(known: Field, values: Any, count: int, sh_degree: int) -> None:
-    """InputError unless `values` are a field's numbers for so many gaussians."""
-    if not isinstance(values, np.ndarray):
-        got = "nothing" if values is None else type(values).__name__
-        raise InputError(f"{known.name}: is {got}; give a numpy array")
-    if values.dtype.kind not in "fiu":
-        raise InputError(f"{known.name}: holds {values.dtype}; give real numbers")
-    shape = (count, *known.row_shape(sh_degree))
-    if values.shape != shape:
-        raise InputError(f"{known.name}: has shape {values.shape}, not {shape}, which {count:,} "
-                         f"gaussians of SH degree {sh_degree} have")
 
 
 def neighbour_distance(points: NDArray[np.floating], neighbours: int = 3

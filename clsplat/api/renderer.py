@@ -13,7 +13,7 @@ from clsplat.camera import Camera, numbers, shown
 from clsplat.constants import COUNT_FAILED, NO_ROW
 from clsplat.device import Device as OpenedDevice
 from clsplat.errors import InputError
-from clsplat.gaussians import LEARNED, Gaussians, check_field
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.photos.images import encode_image
 from clsplat.rendering import pipeline
 from clsplat.rendering.blend import MOST_CHANNELS
@@ -191,9 +191,14 @@ class Renderer:
         A Frame, for `backward`.
         """
         packed = self._pipeline.pack(_in_frame_of(self.model, camera))
+        if features is not None:
+            features = _as_numpy(features, "features")
+            if features.shape not in [(self.model.count, c + 1) for c in range(MOST_CHANNELS)]:
+                raise InputError(f"features: has shape {features.shape}, not ({self.model.count}, "
+                                 f"1 to {MOST_CHANNELS})")
+            features = self.device.upload(features)
         frame = self._pipeline.render(self._rows, packed, camera.width, camera.height,
-                                      self.model.sh_degree, with_depth=depth,
-                                      features=self._features(features))
+                                      self.model.sh_degree, with_depth=depth, features=features)
         depths = frame.blended.depth.download().astype(np.float32) if depth else None
         return Frame(_image(frame.image), depths,
                      frame.blended.transmittance.download().astype(np.float32), frame, camera)
@@ -247,24 +252,11 @@ class Renderer:
                       "shift": (frame._camera.rotation @ away).astype(np.float32)}
         return dense
 
-    def _features(self, values: Any) -> Any:
-        """Features on the device; None: there are none."""
-        if values is None:
-            return None
-        array = _as_numpy(values, "features")
-        if array.ndim != 2 or len(array) != self.model.count or not (
-                1 <= array.shape[1] <= MOST_CHANNELS):
-            raise InputError(f"features: has shape {array.shape}, not ({self.model.count}, 1 to "
-                             f"{MOST_CHANNELS})")
-        return self.device.upload(array)
-
     def _gradient(self, values: Any, name: str, shape: tuple[int, ...]) -> Any:
         """A gradient on the device; None: it is zero."""
         if values is None:
             return None
-        array = _as_numpy(values, name)
-        if array.shape != shape:
-            raise InputError(f"{name}: has shape {array.shape}, not {shape}")
+        array = _as_numpy(values, name, shape)
         if array.ndim == 3:
             array = array.transpose(2, 0, 1)
         return self.device.upload(np.ascontiguousarray(array, self.device.real))
@@ -273,13 +265,11 @@ class Renderer:
 def checked_fields(fields: dict[str, Any], count: int, sh_degree: int
                    ) -> dict[str, NDArray[np.float32]]:
     """New parameters of gaussians as arrays; InputError if one does not fit the model."""
-    known, arrays = {field.name: field for field in LEARNED}, {}
-    for name, values in fields.items():
+    known = {field.name: (count, *field.row_shape(sh_degree)) for field in LEARNED}
+    for name in fields:
         if name not in known:
             raise InputError(f"{name}: not a field of gaussians; these are {', '.join(known)}")
-        arrays[name] = _as_numpy(values, name)
-        check_field(known[name], arrays[name], count, sh_degree)
-    return arrays
+    return {name: _as_numpy(values, name, known[name]) for name, values in fields.items()}
 
 
 def _checked(model: Gaussians, background: Any, near: float | None
@@ -291,17 +281,12 @@ def _checked(model: Gaussians, background: Any, near: float | None
     if near is not None and numbers("near", near, ()) <= 0:
         raise InputError(f"near {near}: expects a depth above 0, or None")
     red, green, blue = numbers("background", background, (3,)).tolist()
-    return (red, green, blue), _near(model) if near is None else float(near)
-
-
-def _near(model: Gaussians) -> float:
-    """Depth of the near plane, world units, from the gaussians' median distance from their median
-    position."""
-    if not model.count:
-        return NEAR_SHARE
-    positions = model.rows["positions"].astype(np.float64)
-    away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
-    return NEAR_SHARE * (float(np.median(away)) or 1.0)
+    if near is None:  # from the gaussians' median distance from their median position
+        near, positions = NEAR_SHARE, model.rows["positions"].astype(np.float64)
+        if model.count:
+            away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
+            near *= float(np.median(away)) or 1.0
+    return (red, green, blue), float(near)
 
 
 def _in_frame_of(model: Gaussians, camera: Camera | None) -> Camera:
@@ -318,15 +303,18 @@ def _image(array: Any) -> NDArray[np.float32]:
     return np.ascontiguousarray(array.download().transpose(1, 2, 0), np.float32)
 
 
-def _as_numpy(values: Any, name: str) -> NDArray[np.float32]:
-    """A numpy array of an object with `__dlpack__` or `__array__`, or of nested numbers; InputError
-    for anything else, such as complex numbers, whose imaginary part would be lost."""
+def _as_numpy(values: Any, name: str, shape: tuple[int, ...] | None = None
+              ) -> NDArray[np.float32]:
+    """A numpy array, of this shape if one is given, of an object with `__dlpack__` or `__array__`,
+    or of nested numbers; InputError for anything else, such as complex numbers."""
     if not hasattr(values, "__array__") and hasattr(values, "__dlpack__"):
         values = np.from_dlpack(values)
     try:
         array = np.asarray(values)
-        if array.dtype.kind in "biuf":
-            return array.astype(np.float32, copy=False)
     except ValueError:  # rows of different lengths
-        pass
-    raise InputError(f"{name}: expects real numbers, got {shown(values)}")
+        array = np.array(None)
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"{name}: expects real numbers, got {shown(values)}")
+    if shape not in (None, array.shape):
+        raise InputError(f"{name}: has shape {array.shape}, not {shape}")
+    return array.astype(np.float32, copy=False)

@@ -31,9 +31,9 @@ def without(name):
     ({**rows(), "log_scales": np.zeros((4, 3), np.float32)}, 1, "log_scales: has shape"),
     ({**rows(), "quaternions": np.zeros((5, 3), np.float32)}, 1, "quaternions: has shape"),
     ({**rows(), "opacity_logits": np.zeros((5, 1), np.float32)}, 1, "opacity_logits: has shape"),
-    ({**rows(), "positions": np.zeros((5, 3), complex)}, 1, "holds complex128; give real"),
-    ({**rows(), "positions": np.array([["a"] * 3] * 5)}, 1, "give real numbers"),
-    ({**rows(), "positions": [[0, 0, 0]]}, 1, "is list; give a numpy array"),
+    ({**rows(), "positions": np.zeros((5, 3), complex)}, 1, "is complex128; give a numpy array"),
+    ({**rows(), "positions": np.array([["a"] * 3] * 5)}, 1, "of real numbers"),
+    ({**rows(), "positions": [[0, 0, 0]]}, 1, "list.*; give a numpy array"),
     ({**rows(), "positions": np.float32(3)}, 1, "positions: "),
     ({**rows(), "anchors": np.zeros((2, 3), np.float32)}, 1, "anchors: has shape"),
     ([], 1, "rows: expects a dict"), (None, 1, "rows: expects a dict")])
