@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.polynomial import Polynomial
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator, interp1d
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, RotationSpline
@@ -21,6 +21,7 @@ from clsplat.io.fields import LARGEST_COORDINATE, number, reading
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 from clsplat.io.scenes.posed import FLIPPED
+from clsplat.partition.region import ground_axes, world_of
 from clsplat.scene import Scene
 
 # a film looks from where photos were taken, so the angle of view is at most theirs, and at least
@@ -32,8 +33,7 @@ ELEVATIONS = (20.0, 55.0)  # degrees above the horizon of a turntable's camera
 TURNING = 1.0  # seconds, the standard deviation of the filter of turns
 KEYS_OF_A_PATH, PATH_KEYS = 30, (64, 2000)  # a second; least and most
 FINER = 8  # places of a curve for each key
-ROUNDING = 1e-9  # of the coordinates: shorter ways are none
-LEAST_STEP = 1e-9  # of a path's time, between two keys
+LEAST_STEP = 1e-9  # of a path's time, and of its coordinates, between two keys
 # of the film over a survey whose photos look down
 LOOKS_DOWN = 45.0  # degrees from the vertical, median of the photos
 ELEVATION = 45.0  # degrees below the horizon, to which the film looks
@@ -43,7 +43,7 @@ TURN = 6.0  # degrees a second around the middle of the site
 LONG = 2.5  # a site so many times as long as wide is flown along
 CORE = (0.05, 0.95)  # quantiles of the covered places that bound the site
 DISTANCES = (0.5, 1.3)  # from where the film looks, least and most, in heights of the flight
-STRIP = 0.15  # of the length of a site, the standard deviation by which its middle line is smoothed
+MIDDLE_DEGREE = 3  # of the polynomial along the middle of a long site
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +55,13 @@ class Keys:
     times : float64[K], K > 1, from 0 to 1, ascending: shares of the film at which each is reached.
     positions : float64[K, 3], in original coordinates.
     rotations : float64[K, 3, 3], from the world to the camera.
-    degrees : float64[K], horizontal angle of view; None: of the film as a whole.
+    degrees : float64[K] or a number, horizontal angle of view; nan: that of the film.
     """
 
     times: NDArray[np.float64]
     positions: NDArray[np.float64]
     rotations: NDArray[np.float64]
-    degrees: NDArray[np.float64] | None = None
+    degrees: ArrayLike = math.nan
 
 
 def interpolated(keys: Keys, times: NDArray[np.float64], size: tuple[int, int], degrees: float
@@ -80,8 +80,8 @@ def interpolated(keys: Keys, times: NDArray[np.float64], size: tuple[int, int], 
     """
     positions = PchipInterpolator(keys.times, keys.positions)(times)
     turns = RotationSpline(keys.times, Rotation.from_matrix(keys.rotations))
-    angles = (np.full(len(times), degrees) if keys.degrees is None
-              else PchipInterpolator(keys.times, keys.degrees)(times))
+    own = np.broadcast_to(np.asarray(keys.degrees, np.float64), keys.times.shape)
+    angles = PchipInterpolator(keys.times, np.where(np.isnan(own), degrees, own))(times)
     focals = size[0] / (2 * np.tan(np.radians(angles) / 2))
     return [Camera(*size, (focal, focal), (size[0] / 2, size[1] / 2), rotation,
                    -rotation @ position)
@@ -96,33 +96,24 @@ def flight(scene: Scene, seconds: float) -> Keys:
     number = max(2, min(max(4, round(KEYS_A_SECOND * seconds)), count))
     chosen = [scene.views[i].camera
               for i in np.linspace(0, count - 1, number).round().astype(int)]
-    positions = _original(scene, chosen)
+    positions = np.array([camera.position for camera in chosen])
     quaternions = Rotation.from_matrix([camera.rotation for camera in chosen]).as_quat()
     # q and -q are the same turn
     opposite = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0
     quaternions[1:] *= np.cumprod(np.where(opposite, -1, 1))[:, None]
-    return _steady(positions, quaternions, seconds)
-
-
-def _steady(positions: NDArray[np.float64], quaternions: NDArray[np.float64], seconds: float
-            ) -> Keys:
-    """A smooth curve along places, at a constant speed; if all are one place, it turns there."""
-    number = int(np.clip(KEYS_OF_A_PATH * seconds, *PATH_KEYS))
-    coarse = np.arange(len(positions))
-    fine = np.linspace(0, coarse[-1], FINER * max(number, len(positions)))
-    middle = positions.mean(axis=0)  # smoothing far from the origin would cost digits
-    curve = gaussian_filter1d(interp1d(coarse, positions - middle, axis=0)(fine),
-                              SMOOTHING * len(fine) / len(positions), axis=0, mode="nearest")
-    ways = np.linalg.norm(np.diff(curve, axis=0), axis=1)
-    if not ways.sum() > ROUNDING * abs(positions).max():
-        ways = np.ones_like(ways)
+    times = np.linspace(0, 1, int(np.clip(KEYS_OF_A_PATH * seconds, *PATH_KEYS)))
+    coarse = np.arange(number)
+    fine = np.linspace(0, number - 1, FINER * max(number, len(times)))
+    curve = gaussian_filter1d(interp1d(coarse, positions, axis=0)(fine),
+                              SMOOTHING * len(fine) / number, axis=0, mode="nearest")
     # a way of 0 would stand for two places at one time
-    along = np.concatenate([[0], np.cumsum(ways + LEAST_STEP * ways.mean())])
-    times = np.linspace(0, 1, number)
+    ways = np.linalg.norm(np.diff(curve, axis=0), axis=1)
+    ways += LEAST_STEP * (np.abs(positions).max() or 1.0)
+    along = np.concatenate([[0], np.cumsum(ways)])
     where = np.interp(times, along / along[-1], fine)
     turns = gaussian_filter1d(interp1d(coarse, quaternions, axis=0)(where),
-                              TURNING * number / seconds, axis=0, mode="nearest")
-    return Keys(times, middle + interp1d(fine, curve, axis=0)(where),
+                              TURNING * len(times) / seconds, axis=0, mode="nearest")
+    return Keys(times, world_of(scene, interp1d(fine, curve, axis=0)(where)),
                 Rotation.from_quat(turns).as_matrix())
 
 
@@ -140,7 +131,7 @@ def _overflight(scene: Scene, places: NDArray[np.float64], seconds: float) -> Ke
     up, middle = scene.up, np.median(places, axis=0)
     cameras = np.array([view.camera.position for view in scene.views])
     height = float(np.median((cameras - middle) @ up))
-    plane = _axes(places, up)
+    plane = ground_axes(up, places, np.ones(len(places)))[:2]
     flat = (places - middle) @ plane.T
     low, high = np.quantile(flat, CORE, axis=0)
     half = (high - low) / 2
@@ -149,14 +140,17 @@ def _overflight(scene: Scene, places: NDArray[np.float64], seconds: float) -> Ke
     beyond = math.sin(below) / math.tan(below - math.radians(UPPER)) - math.cos(below)
     distance = float(np.clip(half.min() / beyond, *np.multiply(DISTANCES, abs(height))))
     if half[0] > LONG * half[1]:
-        targets = _middle_line(flat, low[0], high[0], beyond * distance)
+        inside = flat[((low <= flat) & (flat <= high)).all(axis=1)]
+        along = np.linspace(low[0] + min(0.2 * half[0], beyond * distance),
+                            high[0] - min(0.8 * half[0], beyond * distance), 61)
+        targets = np.stack([along, Polynomial.fit(*inside.T, MIDDLE_DEGREE)(along)], axis=1)
         ahead = np.gradient(targets, axis=0)
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     else:
         ahead = _headings(scene, plane, math.radians(min(360.0, TURN * seconds)))
         targets = np.zeros_like(ahead) + (low + high) / 2
     keys = _looking_down(scene, middle + targets @ plane, ahead @ plane, below, distance)
-    return replace(keys, degrees=np.full(len(targets), OBLIQUE_DEGREES))
+    return replace(keys, degrees=OBLIQUE_DEGREES)
 
 
 def _looking_down(scene: Scene, aims: NDArray[np.float64], ahead: NDArray[np.float64], below: float,
@@ -166,7 +160,7 @@ def _looking_down(scene: Scene, aims: NDArray[np.float64], ahead: NDArray[np.flo
     forward = math.cos(below) * ahead - math.sin(below) * scene.up
     cameras = [Camera.looking_at(aim, aim - distance * each, up=scene.up)
                for aim, each in zip(aims, forward)]
-    positions = _original(scene, cameras)
+    positions = world_of(scene, [camera.position for camera in cameras])
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
     return Keys(along / along[-1], positions, np.array([each.rotation for each in cameras]))
 
@@ -183,7 +177,7 @@ def turntable(scene: Scene) -> Keys:
     away = np.array([view.camera.position for view in scene.views]) - middle
     distances = np.linalg.norm(away, axis=1)
     elevation = np.median(np.arcsin(np.clip(away @ up / np.maximum(distances, 1e-12), -1, 1)))
-    plane = _axes(scene.points, up)
+    plane = ground_axes(up, scene.points, np.ones(len(scene.points)))[:2]
     ahead = -_headings(scene, plane, 2 * math.pi) @ plane  # begins as the first view looks
     return _looking_down(scene, middle + np.zeros_like(ahead), ahead,
                          float(np.clip(elevation, *np.radians(ELEVATIONS))),
@@ -219,53 +213,32 @@ def read_camera_path(path: Path) -> Keys:
                 abs(matrices) <= LARGEST_COORDINATE).all():
             raise ValueError("transform_matrix is not a 3x4 or 4x4 matrix of numbers")
         turns = Rotation.from_matrix((matrices[:, :3, :3] * FLIPPED).transpose(0, 2, 1))
-        degrees = [_degrees(frame) for frame in frames]
-        if None in degrees and any(degrees):
-            raise ValueError("some keys have an angle of view and others none")
-        return Keys(_times(frames), matrices[:, :3, 3], turns.as_matrix(),
-                    None if None in degrees else np.array(degrees, np.float64))
+        is_timed = any("time" in frame for frame in frames)
+        times = np.array([number(frame.get("time", None if is_timed else index), "time")
+                          for index, frame in enumerate(frames)])
+        shares = (times - times[0]) / ((times[-1] - times[0]) or 1)
+        if (np.diff(shares) < LEAST_STEP).any():
+            raise ValueError("time does not ascend")
+        return Keys(shares, matrices[:, :3, 3], turns.as_matrix(),
+                    [_degrees(frame) for frame in frames])
 
 
-def _times(frames: Sequence[dict[str, Any]]) -> NDArray[np.float64]:
-    if not any("time" in frame for frame in frames):
-        return np.linspace(0, 1, len(frames))
-    times = np.array([number(frame.get("time"), "time") for frame in frames])
-    shares: NDArray[np.float64] = (times - times[0]) / ((times[-1] - times[0]) or 1)
-    if (np.diff(shares) < LEAST_STEP).any():
-        raise ValueError("time does not ascend")
-    return shares
-
-
-def _degrees(frame: dict[str, Any]) -> float | None:
+def _degrees(frame: dict[str, Any]) -> float:
     if "camera_angle_x" in frame:
         angle = number(frame["camera_angle_x"], "camera_angle_x")
     elif "fl_x" in frame and "w" in frame:
         angle = 2 * math.atan2(number(frame["w"], "w") / 2, number(frame["fl_x"], "fl_x"))
     else:
-        return None
+        return math.nan
     if not 0 < angle < math.pi:
         raise ValueError("its angle of view is not between 0 and 180 degrees")
     return math.degrees(angle)
-
-
-def _original(scene: Scene, cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """[K, 3]: where cameras are in the coordinates of the scene's files."""
-    return scene.offset + scene.unit * np.array([camera.position for camera in cameras])
 
 
 def _covered(scene: Scene) -> NDArray[np.float64]:
     """[N, 3], local: the sparse points that at least two photos show; all if there are none."""
     seen = shown_by([view.camera for view in scene.views], scene.points) >= LEAST_VIEWS
     return scene.points[seen] if seen.any() else scene.points
-
-
-def _axes(places: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[2, 3]: horizontal unit vectors along the longer and the shorter side of places."""
-    first = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    plane = np.stack([first, np.cross(up, first)]) / np.linalg.norm(first)
-    flat = (places - places.mean(axis=0)) @ plane.T
-    axes: NDArray[np.float64] = np.linalg.eigh(flat.T @ flat)[1].T[::-1] @ plane
-    return axes
 
 
 def _headings(scene: Scene, plane: NDArray[np.float64], sweep: float) -> NDArray[np.float64]:
@@ -275,17 +248,3 @@ def _headings(scene: Scene, plane: NDArray[np.float64], sweep: float) -> NDArray
     x, y = plane @ (first[2] - first[1])  # not vertical, even if it looks straight down
     angles = math.atan2(y, x) + np.linspace(-sweep / 2, sweep / 2, 181)
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
-
-
-def _middle_line(flat: NDArray[np.float64], low: float, high: float, margin: float
-                 ) -> NDArray[np.float64]:
-    """[K, 2]: the smoothed line along the middle of places [N, 2], a margin from its ends."""
-    length = high - low
-    along = np.linspace(low + min(0.1 * length, margin), high - min(0.4 * length, margin), 61)
-    window = length / 20
-    across = np.array([np.median(beside) if len(beside := flat[abs(flat[:, 0] - x) < window, 1])
-                       else np.nan for x in along])
-    gaps = np.isnan(across)
-    across[gaps] = np.interp(along[gaps], along[~gaps], across[~gaps])
-    across = gaussian_filter1d(across, STRIP * len(along), mode="nearest")
-    return np.stack([along, across], axis=1)

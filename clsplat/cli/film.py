@@ -91,8 +91,8 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
     else:
         keys = paths.read_camera_path(Path(route))
     if fov is not None:
-        keys = replace(keys, degrees=None)
-    cameras = paths.interpolated(keys, times, size, fov or paths.film_degrees(data))
+        keys = replace(keys, degrees=fov)
+    cameras = paths.interpolated(keys, times, size, paths.film_degrees(data))
     with Progress() as progress:
         progress.phase("opening the device")
         pictures = films.frames(opened, data, cameras, choose_device(device), most, everything)

@@ -92,7 +92,6 @@ def test_a_camera_path_is_read(tmp_path):
     ([opengl((1, 2, 3), time=1), opengl((1, 2, 3), time=1)], {}),
     ([opengl((1, 2, 3), time=1), opengl((1, 2, 4))], {}),
     ([opengl((1, 2, 3))], {"camera_angle_x": 4}), ([opengl((1, 2, 3))], {"camera_angle_x": "a"}),
-    ([opengl((1, 2, 3), camera_angle_x=1), opengl((1, 2, 4))], {}),
     ([opengl((1, 2, 3))], {"fl_x": 0, "w": 100}), ([opengl((1, 2, 10**400))], {}),
 ])
 def test_a_damaged_camera_path_is_refused(tmp_path, frames, more):
