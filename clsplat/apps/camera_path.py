@@ -143,7 +143,8 @@ def _overflight(scene: Scene, places: NDArray[np.float64], seconds: float) -> Ke
         inside = flat[((low <= flat) & (flat <= high)).all(axis=1)]
         along = np.linspace(low[0] + min(0.2 * half[0], beyond * distance),
                             high[0] - min(0.8 * half[0], beyond * distance), 61)
-        targets = np.stack([along, Polynomial.fit(*inside.T, MIDDLE_DEGREE)(along)], axis=1)
+        across = Polynomial.fit(inside[:, 0], inside[:, 1], MIDDLE_DEGREE)(along)
+        targets = np.stack([along, across], axis=1)
         ahead = np.gradient(targets, axis=0)
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     else:

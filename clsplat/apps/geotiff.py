@@ -7,6 +7,7 @@ coordinate reference system (CRS) as other programs read it.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -36,7 +37,7 @@ class Raster:
 
     def __init__(self, path: Path, grid: MapGrid, crs: str | None,
                  bands: Mapping[str, str | None], colour: bool) -> None:
-        self._path, self.grid, self._levels = path, grid, 1
+        self._path, self.grid = path, grid
         self._dtype = np.dtype(np.uint8 if colour else np.float32)
         with _writing(path.parent.parent):
             self._file = rasterio.open(
@@ -51,28 +52,25 @@ class Raster:
             self._file.set_band_unit(number, unit or "")
 
     def write(self, place: Place, values: NDArray[Any]) -> None:
-        """Replace a tile, [TILE, TILE, bands]; what lies beyond the raster is left out."""
-        (top, bottom), (left, right) = self._window(place)
+        """Replace a square of pixels [S, S, bands], `place` squares (across, down) from the upper
+        left corner; what lies beyond the raster is left out."""
+        (top, bottom), (left, right) = self._window(place, len(values))
         inner = values[:bottom - top, :right - left].astype(self._dtype)
         with _writing(self._path.parent.parent):
             self._file.write(np.moveaxis(inner, -1, 0), window=((top, bottom), (left, right)))
 
     def finish(self, tags: Mapping[str, str]) -> None:
         """Add tags and overviews, halves of halves down to one tile, and end the writing."""
-        sizes = [2**power for power in range(1, 32)
-                 if max(self.grid.columns, self.grid.rows) > TILE * 2 ** (power - 1)]
+        sizes = [2**level for level in range(1, self.level(TILE) + 1)]
         self.close()
         with _writing(self._path.parent.parent), rasterio.open(self._path, "r+") as file:
             file.update_tags(**tags)
             if sizes:
                 file.build_overviews(sizes, Resampling.average)
-        self._levels += len(sizes)
 
     def level(self, largest: float) -> int:
-        """The finest level of at most so many pixels along the longer side."""
-        side = max(self.grid.columns, self.grid.rows)
-        return next((level for level in range(self._levels) if -(-side // 2**level) <= largest),
-                    self._levels - 1)
+        """The finest level of at most so many pixels along the longer side, TILE or more."""
+        return max(0, math.ceil(math.log2(max(self.grid.columns, self.grid.rows) / largest)))
 
     def whole(self, level: int) -> NDArray[Any]:
         """A level in one piece, [H, W, bands]: for coarse ones."""
@@ -87,7 +85,7 @@ class Raster:
     def read(self, place: Place, margin: int = 0) -> NDArray[Any]:
         """A tile of a closed raster with so many pixels around it, [H, W, bands]; beyond the raster
         nothing is known."""
-        (top, bottom), (left, right) = self._window(place, margin)
+        (top, bottom), (left, right) = self._window(place, TILE, margin)
         first = place[1] * TILE - margin, place[0] * TILE - margin
         with self._at(0) as file:
             inner = np.moveaxis(file.read(window=((top, bottom), (left, right))), 0, -1)
@@ -105,9 +103,9 @@ class Raster:
                 blocksize=TILE, overviews="AUTO", bigtiff="IF_SAFER", geotiff_version="1.1")
             os.replace(partial, path)
 
-    def _window(self, place: Place, margin: int = 0) -> tuple[Place, Place]:
-        """The rows and columns of a tile and its margin within the raster."""
-        rows, columns = ((max(0, at * TILE - margin), min(most, (at + 1) * TILE + margin))
+    def _window(self, place: Place, side: int, margin: int = 0) -> tuple[Place, Place]:
+        """The rows and columns of a square and its margin within the raster."""
+        rows, columns = ((max(0, at * side - margin), min(most, (at + 1) * side + margin))
                          for at, most in zip(place[::-1], (self.grid.rows, self.grid.columns)))
         return rows, columns
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from clsplat.apps.geotiff import Raster, bounded_memory
-from clsplat.apps.map_grid import TILE, MapGrid, ground_resolution
-from clsplat.apps.orthophoto import Extent, MapPainter, extent_of, halved_pixels
+from clsplat.apps.map_grid import MapGrid, ground_resolution
+from clsplat.apps.orthophoto import Extent, MapPainter, extent_of
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
@@ -50,6 +50,7 @@ LEAST_DEPTH = 10  # pixels: shallower pits are noise, which surfaces have everyw
 THICK = 0.5  # of a pit's depth: over less of it, and of LEAST_DEPTH, a true bottom's light spreads
 LEAST_SURE = 0.1  # of the samples of a window: with fewer, no unsure height is kept
 LINES, MOST_LINES = 15, 1000  # contour lines, about, unless the interval is given; and at most
+ROUND = np.array([float(f"{digit}e{power}") for power in range(-6, 6) for digit in (1, 2, 5)])
 USUAL = (0.02, 0.98)  # quantiles of the heights
 SMOOTHING = 4.0  # pixels: noise of single pixels is no contour line
 SHORTEST = 48  # points of a line; shorter ones are noise
@@ -144,34 +145,34 @@ def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
                    MOST_HALVINGS)
     finer = grid.finer(halvings)
     painter = MapPainter(device, run, finer, scene)
-    across, side = 2**halvings, TILE >> halvings
-    done, total = 0, math.prod(finer.tiles)
-    for row, column in np.ndindex(grid.tiles[::-1]):
-        whole: tuple[NDArray[Any], NDArray[Any]] = (
-            np.zeros((TILE, TILE, 4), np.uint8), np.full((TILE, TILE, 2), np.nan, np.float32))
-        is_known = False
-        for y, x in np.ndindex(across, across):
-            place = column * across + x, row * across + y
-            if place[0] >= finer.tiles[0] or place[1] >= finer.tiles[1]:
-                continue
-            done += 1
-            inside = extent.inside(finer, *place)[..., None]
-            if not inside.any():
-                continue
-            is_known = True
-            progress.count("tile", done, total)
-            part = np.s_[y * side:(y + 1) * side, x * side:(x + 1) * side]
-            colours, surface = painter.tile(*place)
-            masked = np.where(inside, colours, 0), np.where(inside, surface, np.float32(np.nan))
-            for all_pixels, pixels in zip(whole, masked):
-                for _ in range(halvings):
-                    pixels = halved_pixels(pixels)
-                all_pixels[part] = pixels
-        if is_known:
-            for raster, values in zip(drawn, whole):
-                raster.write((column, row), values)
+    total = math.prod(finer.tiles)
+    for done, (row, column) in enumerate(np.ndindex(finer.tiles[::-1]), 1):
+        inside = extent.inside(finer, column, row)[..., None]
+        if not inside.any():
+            continue
+        progress.count("tile", done, total)
+        colours, surface = painter.tile(column, row)
+        masked = np.where(inside, colours, 0), np.where(inside, surface, np.float32(np.nan))
+        for raster, pixels in zip(drawn, masked):
+            raster.write((column, row), _coarser(pixels, 2**halvings))
     for raster in drawn:
         raster.close()
+
+
+def _coarser(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
+    """The means of squares of so many pixels: of heights without nan, of colours by alpha."""
+    side = len(pixels) // factor
+    squares = pixels.reshape(side, factor, side, factor, -1).astype(np.float64)
+    is_colour = pixels.dtype == np.uint8
+    known = squares[..., 3:] > 0 if is_colour else ~np.isnan(squares)
+    number = known.sum(axis=(1, 3))
+    means = np.where(known, squares, 0).sum(axis=(1, 3)) / np.maximum(number, 1)
+    if is_colour:
+        means[..., 3:] = 255 * number / factor**2
+    else:
+        means[number == 0] = np.nan
+    result: NDArray[Any] = (means + 0.5 * is_colour).astype(pixels.dtype)
+    return result
 
 
 def _copy_without_pits(colours: Raster, drawn: Raster, surface: Raster) -> int:
@@ -210,26 +211,12 @@ def _pits(heights: Heights, spread: Heights, resolution: float) -> NDArray[np.bo
     return found
 
 
-def _smoothed(heights: Heights) -> NDArray[np.float64]:
-    """Heights [H, W] after a Gaussian filter that leaves out those that are nan."""
-    known = ~np.isnan(heights)
-    weight = gaussian_filter(known.astype(np.float64), SMOOTHING)
-    total = gaussian_filter(np.where(known, heights, 0.0), SMOOTHING)
-    result: NDArray[np.float64] = np.where(known, total / np.maximum(weight, 1e-9), np.nan)
-    return result
-
-
 def _contour_interval(heights: Heights) -> float:
-    """A round number (1, 2 or 5 times a power of ten) that gives about LINES contour lines, in the
-    unit of the heights; 0 for a surface without heights."""
-    known = heights[~np.isnan(heights)]
-    low, high = np.quantile(known, USUAL) if len(known) else (0.0, 0.0)
+    """The number of ROUND that gives about LINES contour lines; 0 for level ground."""
+    low, high = np.nanquantile(heights, USUAL)
     if not high > low:
         return 0.0
-    wanted = (high - low) / LINES
-    power = 10 ** math.floor(math.log10(wanted))
-    nearest = min((1, 2, 5, 10), key=lambda factor: abs(math.log(factor * power / wanted)))
-    return float(f"{nearest * power:.1g}")
+    return float(ROUND[np.abs(np.log(ROUND * LINES / (high - low))).argmin()])
 
 
 def contour_lines(heights: Heights, interval: float) -> list[ContourLine]:
@@ -241,17 +228,17 @@ def contour_lines(heights: Heights, interval: float) -> list[ContourLine]:
     interval : between lines; heights that are multiples of it have one. 0: there are no lines. An
         InputError if there would be too many.
     """
-    known = ~np.isnan(heights)
-    if interval <= 0 or not known.any() or min(heights.shape) < 2:
+    if interval <= 0 or min(heights.shape) < 2:
         return []
-    low, high = np.quantile(heights[known], (0.001, 0.999))
-    with np.errstate(over="ignore"):  # of an interval that is almost 0
-        count = (high - low) / np.float64(interval)
-    if count > MOST_LINES:
-        raise InputError(f"--contours {interval:g}: about {count:.3g} lines; give a larger "
-                         f"interval, at most {MOST_LINES:,} are drawn")
+    low, high = np.nanquantile(heights, (0.001, 0.999))
+    if high - low > MOST_LINES * interval:
+        raise InputError(f"--contours {interval:g}: more than {MOST_LINES:,} lines; give a larger "
+                         "interval")
+    known = ~np.isnan(heights)
+    weight, total = (gaussian_filter(values, SMOOTHING) for values in (
+        known.astype(np.float64), np.where(known, heights, 0.0)))
     generator = contourpy.contour_generator(
-        z=np.ma.masked_array(_smoothed(heights), mask=~known))
+        z=np.ma.masked_array(total / np.maximum(weight, 1e-9), mask=~known))
     return [(number * interval, np.asarray(line) + 0.5)
             for number in range(math.ceil(low / interval), math.floor(high / interval) + 1)
             for line in generator.lines(number * interval) if len(line) >= SHORTEST]

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,22 +101,6 @@ class MapPainter:
         inside: NDArray[np.bool_] = zoom(square.astype(np.float32), STEP, order=1, mode="nearest",
                                          grid_mode=True) > 0.5
         return inside
-
-
-def halved_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
-    """[H/2, W/2, ...]: means of 2 x 2 pixels, of heights without nan, of colours by alpha."""
-    height, width = (side // 2 for side in pixels.shape[:2])
-    four = pixels.reshape(height, 2, width, 2, -1).astype(np.float32)
-    if pixels.dtype == np.float32:
-        known = ~np.isnan(four)
-        number = known.sum(axis=(1, 3))
-        total = np.where(known, four, 0).sum(axis=(1, 3))
-        return np.where(number > 0, total / np.maximum(number, 1), np.nan).astype(np.float32)
-    alpha = four[..., 3:]
-    weight = alpha.sum(axis=(1, 3))
-    colours = (four[..., :3] * alpha).sum(axis=(1, 3)) / np.maximum(weight, 1)
-    result = np.concatenate([colours, weight / 4], axis=-1)
-    return (result + 0.5).astype(np.uint8)
 
 
 def shown_by(cameras: Sequence[Camera], points: NDArray[np.float64]) -> NDArray[np.int64]:
