@@ -168,7 +168,7 @@ class _Problem:
         def error(similarity: Similarity) -> float:
             return _typical(np.linalg.norm(similarity(places) - positions, axis=1) / std)
 
-        fits = (_fitted(places[rows], positions[rows]) for rows in _samples(rng, len(places), 3))
+        fits = (fitted(places[rows], positions[rows]) for rows in _samples(rng, len(places), 3))
         return min(filter(None, fits), key=error, default=None)
 
     def _deviations(self, similarity: Similarity) -> tuple[float, float]:
@@ -276,9 +276,17 @@ class _Problem:
             ((flat - flat.mean(axis=0))**2).sum(axis=1).mean()))
 
 
-def _fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similarity | None:
-    """The similarity with the least squared distances between points [N, 3] (Umeyama 1991); None if
-    they determine none."""
+def fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similarity | None:
+    """The similarity with the least squared distances between points (Umeyama 1991).
+
+    Parameters
+    ----------
+    source, target : float64[N, 3], the points and where they come to.
+
+    Returns
+    -------
+    None if they determine none.
+    """
     places, positions = source - source.mean(axis=0), target - target.mean(axis=0)
     product = positions.T @ places
     if np.linalg.matrix_rank(product, 1e-9 * np.linalg.norm(product)) < 2:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -25,7 +26,7 @@ from clsplat.errors import InputError
 from clsplat.io.fields import numbers, parsed, pixels, reading
 from clsplat.io.regular import open_regular, read_regular
 from clsplat.io.scenes.posed import BROWN, FISHEYE, Optics, PosedPhoto, optics
-from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene, root_of
+from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene
 from clsplat.placement.alignment import Similarity
 from clsplat.scene import Scene
 
@@ -67,7 +68,7 @@ def read_metashape(path: Path, images: str = "") -> Scene:
     """
     files = PhotoFiles(path.parent, images)
     with reading(path, "cameras of Metashape", "export them again"):
-        chunks = list(root_of(read_regular(path)).iter("chunk"))
+        chunks = list(ElementTree.fromstring(read_regular(path)).iter("chunk"))
         if len(chunks) != 1:
             raise ValueError(f"it has {len(chunks)} chunks, and one is read")
         used, notes = _aligned(chunks[0])

@@ -9,14 +9,14 @@ from dataclasses import replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from clsplat.errors import MOST_CHARACTERS, InputError
 from clsplat.georeference import Georeference
-from clsplat.io.fields import CONTROL
+from clsplat.io.fields import text
 from clsplat.io.georeference.crs import (
     GEOCENTRIC,
     GEODETIC,
@@ -26,20 +26,17 @@ from clsplat.io.georeference.crs import (
 )
 from clsplat.io.scenes.posed import Cloud, PosedPhoto, posed_scene, read_cloud
 from clsplat.io.scenes.sources import IMAGES, PHOTO_SUFFIXES, photo_folder
-from clsplat.placement.alignment import Similarity
+from clsplat.placement.alignment import Similarity, fitted
 from clsplat.scene import Scene
 
-STEP = 50.0  # metres, over which the map is differentiated
+STEP = 10.0  # metres from the middle of the cameras, where the map is compared with the earth
 
 
 class PhotoFiles:
-    """The photos of a project.
+    """The photos of a project, in its folder `project`.
 
-    Attributes
-    ----------
-    project : the folder of the project.
-    folder : of the photos: the one given as --images, else images/ of the project, else the
-        project's own folder.
+    They are in `folder`: the one given as --images, else images/ of the project, else the
+    project's own.
     """
 
     def __init__(self, project: Path, images: str = "") -> None:
@@ -52,9 +49,9 @@ class PhotoFiles:
         found = [self.find(name) for name in names]
         missing = [source for _, source in found if not os.path.isfile(source)]
         if missing:
-            raise InputError(f"{_short(missing[0])}: no such image ({len(missing)} of {len(found)} "
-                             "photos of the project are missing); put them there, or name their "
-                             "folder with --images")
+            raise InputError(f"{str(missing[0])[:MOST_CHARACTERS]}: no such image ({len(missing)} "
+                             f"of {len(found)} photos of the project are missing); put them "
+                             "there, or name their folder with --images")
         return found
 
     def find(self, name: object) -> tuple[str, Path]:
@@ -70,51 +67,42 @@ class PhotoFiles:
         The name of its view, relative to the folder of photos if it is there, and its path, which
         does not exist if no file fits.
         """
-        if not isinstance(name, str) or CONTROL.search(name):
-            raise ValueError("the name of a photo is not valid text")
-        parts = [part for part in PurePosixPath(name.replace("\\", "/")).parts
-                 if part not in ("/", "//", "..")]
+        parts = PurePosixPath(text(name, "the name of a photo").replace("\\", "/")).parts
+        parts = tuple(part for part in parts if part not in ("/", "//", ".."))
         if not parts:
-            raise ValueError(f"{name[:80]!r} is not the name of a photo")
-        places = [self.folder.joinpath(*parts[number:]) for number in range(len(parts))]
-        if not self._given:  # a folder that the user gives holds all photos
-            places.append(self.project / name)
-        path = (next(filter(os.path.isfile, places), None) or self._below(parts)
-                or self.folder / parts[-1])
-        # what is named ../other/a.jpg is not below the folder
-        place, folder = (Path(os.path.normpath(each)) for each in (path, self.folder))
-        below = place.is_relative_to(folder)
-        return place.relative_to(folder).as_posix() if below else "/".join(parts), path
+            raise ValueError(f"{str(name)[:80]!r} is not the name of a photo")
+        found = self._alike(parts)
+        if found:
+            return found.relative_to(self.folder).as_posix(), found
+        outside = self.project / str(name)
+        if not self._given and outside.is_file():  # a folder that the user gives holds all photos
+            return "/".join(parts), outside
+        return parts[-1], self.folder / parts[-1]
 
-    def _below(self, parts: list[str]) -> Path | None:
-        """The only file of this name in folders of the photo folder, or that with most of the
-        folders in the name; the suffix may be missing."""
-        def shared(path: Path) -> int:
+    def _alike(self, parts: tuple[str, ...]) -> Path | None:
+        """The file of the photo folder whose name and folders agree most with these; InputError if
+        two agree equally."""
+        def likeness(path: Path) -> tuple[int, bool]:
             pairs = zip(path.parts[-2::-1], parts[-2::-1])
             equal = [own.casefold() == named.casefold() for own, named in pairs]
-            return (equal + [False]).index(False)
-        found = sorted(self._files.get(parts[-1].casefold(), []), key=shared, reverse=True)
-        if len(found) > 1 and shared(found[0]) == shared(found[1]):
-            raise InputError(f"{self.folder}: several photos fit {parts[-1][:80]!r}: "
-                             f"{_short(found[0])}, {_short(found[1])}; name the folder of the "
-                             "right ones with --images")
+            return (equal + [False]).index(False), path.parent == self.folder
+
+        found = sorted(self._files.get(parts[-1].casefold(), []), key=likeness, reverse=True)
+        if len(found) > 1 and likeness(found[0]) == likeness(found[1]):
+            places = ", ".join(str(path)[:MOST_CHARACTERS] for path in found[:2])
+            raise InputError(f"{self.folder}: several photos fit {parts[-1][:80]!r}: {places}; "
+                             "name the folder of the right ones with --images")
         return found[0] if found else None
 
     @cached_property
     def _files(self) -> dict[str, list[Path]]:
         """The photos below the folder, by file name and by stem, in lower case."""
         files: dict[str, list[Path]] = {}
-        for place, folders, names in os.walk(self.folder):
-            folders.sort()
-            for path in (Path(place) / name for name in sorted(names)):
-                if path.suffix.lower() in PHOTO_SUFFIXES:
-                    for key in {path.name.casefold(), path.stem.casefold()}:
-                        files.setdefault(key, []).append(path)
+        for path in sorted(self.folder.rglob("*")):
+            if path.suffix.lower() in PHOTO_SUFFIXES:
+                for key in {path.name.casefold(), path.stem.casefold()}:
+                    files.setdefault(key, []).append(path)
         return files
-
-
-def _short(path: Path) -> str:
-    return str(path)[:MOST_CHARACTERS]
 
 
 class OnEarth(NamedTuple):
@@ -164,12 +152,8 @@ def project_scene(path: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
 def topocentric(latitude: float, longitude: float, height: float) -> Similarity:
     """From east, north and up in metres at a place (degrees, metres) to geocentric coordinates."""
     (centre,) = conversion(GEODETIC, GEOCENTRIC)([(longitude, latitude, height)])
-    (sin_lat, sin_lon), (cos_lat, cos_lon) = (
-        function(np.radians([latitude, longitude])) for function in (np.sin, np.cos))
-    axes = np.array([[-sin_lon, -sin_lat * cos_lon, cos_lat * cos_lon],
-                     [cos_lon, -sin_lat * sin_lon, cos_lat * sin_lon],
-                     [0.0, cos_lat, sin_lat]])
-    return Similarity(1.0, axes, centre)
+    axes = Rotation.from_euler("ZX", (90 + longitude, 90 - latitude), degrees=True)
+    return Similarity(1.0, axes.as_matrix(), centre)
 
 
 def on_map(to_earth: Similarity, centres: NDArray[np.float64], crs: str, source: str
@@ -198,35 +182,15 @@ def on_map(to_earth: Similarity, centres: NDArray[np.float64], crs: str, source:
     (place,) = geodetic(to_earth(middle[None]))
     if not (np.isfinite(place).all() and abs(place[2]) < 1e5):
         raise ValueError("its cameras are not near the earth's surface")
-    crs = crs or utm_zone(place[0], place[1])
-    projected = conversion(GEODETIC, crs, partial=True)
-
-    def to_map(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        return projected(geodetic(to_earth(points)))
-
-    steps = STEP / to_earth.scale * np.eye(3)
-    columns = (to_map(middle + steps) - to_map(middle - steps)) * to_earth.scale / (2 * STEP)
-    exact, (centre,) = to_map(centres), to_map(middle[None])
-    if not (np.isfinite(exact).all() and np.isfinite(centre).all() and np.isfinite(columns).all()):
+    crs = crs or utm_zone(*place[:2])
+    around = middle + STEP / to_earth.scale * np.concatenate([np.eye(3), -np.eye(3)])
+    exact = conversion(GEODETIC, crs, partial=True)(
+        geodetic(to_earth(np.concatenate([around, centres]))))
+    offset = np.round(exact[:6].mean(axis=0))
+    similarity = fitted(around, exact[:6] - offset) if np.isfinite(exact).all() else None
+    if similarity is None:
         raise ValueError(f"its cameras are outside of {crs[:80]}")
-    left, sizes, right = np.linalg.svd(columns.T)
-    scale, rotation = float(sizes.mean()), left @ right
-    if np.linalg.det(rotation) < 0:
-        raise ValueError("its coordinates are mirrored")
-    offset = np.round(centre)
-    similarity = Similarity(scale, rotation, centre - offset - scale * rotation @ middle)
-    missed = similarity(centres) + offset - exact
+    missed = similarity(centres) + offset - exact[6:]
     residual = float(np.sqrt((missed**2).sum(axis=1).mean()))
     east, north, height = offset.tolist()
     return similarity, Georeference(crs, (east, north, height), source, residual)
-
-
-def root_of(data: bytes) -> ElementTree.Element:
-    """The root of an XML file; ValueError if it is damaged, or defines entities, which no program
-    writes and a few of which may expand to more than the memory holds."""
-    if b"<!ENTITY" in data.replace(b"\0", b""):  # in UTF-16, too
-        raise ValueError("it defines entities")
-    try:
-        return ElementTree.fromstring(data)
-    except (ElementTree.ParseError, LookupError) as error:  # the last: an unknown encoding
-        raise ValueError(str(error)) from None

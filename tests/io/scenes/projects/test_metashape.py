@@ -123,7 +123,9 @@ def test_coefficients_that_colmap_has_not(tmp_path, extra, words):
 
 def test_entities_are_refused(tmp_path):
     path = write_metashape(tmp_path, made(tmp_path))
-    bomb = '<!DOCTYPE d [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]><document'
-    path.write_text(path.read_text().replace("<document", bomb, 1))
-    with pytest.raises(InputError, match="entities"):
+    entities = "".join(f'<!ENTITY e{n + 1} "{f"&e{n};" * 20}">' for n in range(8))
+    text = path.read_text().replace("<chunk", "&e8;<chunk", 1)
+    bomb = f'<!DOCTYPE d [<!ENTITY e0 "a">{entities}]>'
+    path.write_text(text.replace("<document", bomb + "<document", 1))
+    with pytest.raises(InputError, match="limit on input amplification"):
         read_scene(path)
