@@ -50,8 +50,8 @@ def test_files_keep_responses_to_the_last_digit(tmp_path):
     rng = np.random.default_rng(1)
     written = {"a": Response(rng.normal(size=(3, 4))), "b": Response(rng.normal(size=(3, 4)), LENS),
                "c": Response(vignetting=LENS)}
-    write_exposures(tmp_path / "exposures.json", written)
-    read = read_exposures(tmp_path / "exposures.json")
+    write_exposures(tmp_path, written)
+    read = read_exposures(tmp_path)
     for name, response in written.items():
         assert np.array_equal(read[name].transform, response.transform)
         assert np.array_equal(read[name].vignetting, response.vignetting)

@@ -20,6 +20,7 @@ from clsplat.io.ahead import called_ahead
 from clsplat.io.atomic import replacing
 from clsplat.io.models.values import to_bytes
 from clsplat.io.runs.city import DENSE, EXCHANGES, OTHERS, PARTITION, CityFolder
+from clsplat.io.runs.run import read_exposures
 from clsplat.loss.image_loss import image_loss, loss_value
 from clsplat.partition.blocks import block_start, filled, find_windows, owned_shares
 from clsplat.partition.make import make_partition
@@ -76,7 +77,7 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
         folder.write_partition(record)
     owner = partition.owner(world_of(scene, gaussians.positions))
     counts = np.bincount(owner, minlength=len(partition.regions))
-    exposures = coarse.folder.load_exposures()
+    exposures = read_exposures(coarse.folder.path)
     requested = requested_of(folder)
     visits = visits_of_blocks(partition, scene, gaussians, owner,
                               requested.get("block_steps", BLOCK_STEPS))

@@ -40,7 +40,7 @@ from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.models.tree import TREE, writing_tree
 from clsplat.io.models.values import colours_of, to_bytes
 from clsplat.io.runs.city import PARTITION, BlockFolder, CityFolder
-from clsplat.io.runs.run import RunFolder
+from clsplat.io.runs.run import RunFolder, read_exposures, write_exposures
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.partition.region import Partition, world_of
 from clsplat.report.run import write_report
@@ -281,8 +281,8 @@ def _note_merge(city: City, merged: Merged) -> None:
     run.rewind(-1)
     run.log({"event": "merge", **_cost([coarse, *blocks, *[trained] * joint]), "level": 1.0,
              "joint_steps": _cost([trained] * joint)["iteration"], **merged.record()})
-    if responses := (trained if joint else coarse).load_exposures():
-        run.save_exposures(responses)
+    if responses := read_exposures((trained if joint else coarse).path):
+        write_exposures(run.path, responses)
 
 
 def evaluate_city(city: City, merged: Merged, against: Path | None = None
@@ -343,7 +343,7 @@ def train_jointly(city: City, merged: Merged, progress: SilentProgress | None = 
         together = joint_options(city, given, merged.count)
         parts: list[Part] = [Stage()]
         if together.exposure == "on":
-            parts.append(PhotoResponses(RunFolder(folder.coarse).load_exposures()))
+            parts.append(PhotoResponses(read_exposures(folder.coarse)))
         with run.locked():
             start = resume if run.is_begun else train
             start(dataclasses.replace(city.pinhole, notes=()), together, city.device,

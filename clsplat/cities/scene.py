@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clsplat.gaussians import Gaussians
 from clsplat.io.runs.city import BlockFolder
+from clsplat.io.runs.run import read_exposures
 from clsplat.io.scenes.read import read_scene
 from clsplat.partition.blocks import seen_pixels, trainable
 from clsplat.partition.region import Region
@@ -48,7 +49,7 @@ class BlockScene:
         """Read the block in a folder; the coarse run has shown the notes about the whole scene."""
         region, visits = block.region()
         scene = replace(read_scene(block.path), notes=())
-        return cls(scene, region, visits, block.responses())
+        return cls(scene, region, visits, read_exposures(block.path))
 
     def parts(self, exposures: bool) -> list[Part]:
         """What makes the training of `scene` that of the block; `exposures`: whether it has them.

@@ -19,7 +19,7 @@ from clsplat.io.georeference.files import placed, read_georeference, read_orient
 from clsplat.io.models.formats import read_with_notes
 from clsplat.io.models.tree import TREE, Tree
 from clsplat.io.photos.undistort import undistorted
-from clsplat.io.runs.run import RunFolder, read_poses
+from clsplat.io.runs.run import RunFolder, read_exposures, read_poses
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, recorded
 from clsplat.rendering.slabs import ModelRenderer, open_model
@@ -137,7 +137,7 @@ class Run:
     @property
     def exposures(self) -> dict[str, NDArray[np.float64]] | None:
         """Name of a training view -> float64[3, 4], its colour transform; None without any."""
-        responses = self.folder.load_exposures()
+        responses = read_exposures(self.path)
         if responses is None:
             return None
         return {name: response.transform for name, response in responses.items()}

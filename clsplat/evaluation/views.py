@@ -25,6 +25,7 @@ from clsplat.io.ahead import called_ahead
 from clsplat.io.folders import make_folder
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.views import read_photo, read_valid
+from clsplat.io.runs.run import read_exposures
 from clsplat.placement.corrections import typical_depth
 from clsplat.rendering.options import RenderingOptions
 from clsplat.rendering.slabs import ModelRenderer, open_model
@@ -209,7 +210,7 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
         beside = np.concatenate([photo, image, fitted, error], axis=1)
         write_image(run.folder.picture(view.name), beside)
 
-    predicted = predicted_responses(scene.views, run.folder.load_exposures())
+    predicted = predicted_responses(scene.views, read_exposures(run.path))
     result = evaluate_views(*model, views, keep if save_images else None, metrics, predicted,
                             depth_to_align(scene) if align else 0.0)
     result["pictures"] = pictures_of(*model, views, train, result["per_view"], predicted)
@@ -225,7 +226,7 @@ def training_pictures(run: Run, device: Device) -> Pictures:
     """The pictures of a run's finished model where the run holds out no view."""
     scene = run.scene()
     return pictures_of(*run.opened(device, scene), [], scene.views, predicted=predicted_responses(
-        scene.views, run.folder.load_exposures()))
+        scene.views, read_exposures(run.path)))
 
 
 def render_views(draw: Callable[[Camera], Image], views: Sequence[View],

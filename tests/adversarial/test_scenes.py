@@ -100,7 +100,7 @@ SCENES = {
     "only a Git LFS pointer": (lambda f: (f / "sparse/0/images.bin").write_text(
         "version https://git-lfs.github.com/spec/v1\n"), ("images.bin", "copy the model again")),
     "half the model is text": (lambda f: (f / "sparse/0/images.bin").rename(
-        f / "sparse/0/images.txt"), ("images.bin", "missing")),
+        f / "sparse/0/images.txt"), ("images.bin", "no such file")),
     "a photo missing in images_2": (lambda f: (
         shrunk(f, "images_2", 2, range(3)), shutil.rmtree(f / "images")), ("1 of 4",)),
 }

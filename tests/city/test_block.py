@@ -15,7 +15,7 @@ from clsplat.densify import round as growth
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.runs.city import CityFolder
-from clsplat.io.runs.run import RunFolder
+from clsplat.io.runs.run import RunFolder, read_exposures
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.blocks import (
@@ -156,7 +156,7 @@ def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, ci
     options = {**LEVELLED, **KEEPS, "reproject": "off", "iterations": 40, "test_every": 8,
                "vignetting": "on"}
     run = trained(tmp_path / "coarse", city, item_device, **options)
-    learned, held = run.load_exposures(), run.load_checkpoint()[0]["exposure.transforms"]
+    learned, held = read_exposures(run.path), run.load_checkpoint()[0]["exposure.transforms"]
     names = [view.name for view in city.split(8)[0]]
     assert list(learned) == names
     rows = [response.transform.ravel() for response in learned.values()]
@@ -167,9 +167,9 @@ def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, ci
     some = {name: Response(learned[name].transform + 0.2, lens) for name in names[:5]}
     block = trained_block(tmp_path / "block", block_of(city, responses=some), item_device,
                           **{**options, "iterations": 1})
-    after = block.load_exposures()
+    after = read_exposures(block.path)
     whole = trained(tmp_path / "joint", city, item_device, parts=[PhotoResponses(some)], **options)
-    moved = whole.load_exposures()[names[0]].transform - some[names[0]].transform
+    moved = read_exposures(whole.path)[names[0]].transform - some[names[0]].transform
     assert 1e-4 < np.abs(moved).max() < 0.1, "a joint training learns on"
     for name in names:  # blocks do not learn
         given = some.get(name, Response())

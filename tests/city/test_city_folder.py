@@ -20,6 +20,7 @@ from clsplat.io.photos.images import write_image
 from clsplat.io.photos.views import read_valid
 from clsplat.io.runs import city as module
 from clsplat.io.runs.city import BlockFolder, CityFolder
+from clsplat.io.runs.run import read_exposures
 from clsplat.io.scenes import write
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.partition.region import Region, Space
@@ -100,8 +101,8 @@ def test_a_block_is_a_scene(city, scene, gaussians, away):
     assert 0 < len(read.points) < len(scene.points)
     assert all(view.source.is_symlink() for view in read.views)
     expected = exposures_of(scene)
-    assert set(block.responses()) == {scene.views[i].name for i in (3, 8, 9)}
-    for name, response in block.responses().items():
+    assert set(read_exposures(block.path)) == {scene.views[i].name for i in (3, 8, 9)}
+    for name, response in read_exposures(block.path).items():
         assert np.array_equal(response.transform, expected[name].transform)
         assert np.array_equal(response.vignetting, expected[name].vignetting)
     there = read_ply(block.initial, far.offset)

@@ -14,7 +14,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.models.ply import read_ply, start_comment, write_ply
 from clsplat.io.runs.city import CityFolder
-from clsplat.io.runs.run import RunFolder
+from clsplat.io.runs.run import read_exposures, write_exposures
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.region import Space
@@ -217,10 +217,10 @@ def test_the_merged_run_has_the_exposures_of_the_coarse_run(city, scene):
     """By which its held-out views are scored; a coarse run without any leaves none."""
     whole = City(city, scene, resolve({}, {}), SimpleNamespace(name="none", form="item"))
     merged_city(whole)
-    assert RunFolder(city.path).load_exposures() is None
+    assert read_exposures(city.path) is None
     known = {scene.views[1].name: Response(1.1 * np.eye(3, 4), np.array([-0.1, 0, 0.2, 1.5]))}
-    RunFolder(city.coarse).save_exposures(known)
+    write_exposures(city.coarse, known)
     merged_city(whole)
-    (name, found), = RunFolder(city.path).load_exposures().items()
+    (name, found), = read_exposures(city.path).items()
     assert name in known and np.array_equal(found.transform, known[name].transform)
     assert np.array_equal(found.vignetting, known[name].vignetting)

@@ -15,7 +15,7 @@ from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.run import to_render
 from clsplat.evaluation.views import evaluate_run, photo_of, render_view
 from clsplat.gaussians import Gaussians
-from clsplat.io.runs.run import RunFolder, write_poses
+from clsplat.io.runs.run import RunFolder, write_exposures, write_poses
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.placement.corrections import Correction
@@ -65,7 +65,7 @@ def test_held_out_views_have_an_exposure_that_training_photos_tell(run, item_dev
     assert plain.exposure_weight is None
     lens = np.array([-0.5, 0, 0, 1.0])
     dim = Response(np.column_stack([0.5 * np.eye(3), [0.1, 0, 0]]), lens)
-    run.folder.save_exposures({view.name: dim for view in train})
+    write_exposures(run.path, {view.name: dim for view in train})
     result = evaluate_run(run, item_device, save_images=False)
     assert result["exposure_weight"] == 0  # all are equal, which no neighbour tells better
     model = run.opened(item_device, scene)

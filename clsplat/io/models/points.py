@@ -25,7 +25,7 @@ from clsplat.io.georeference.crs import is_on_map, pyproj_crs
 from clsplat.io.models.values import Notes, colours_of, opacities, usable
 from clsplat.io.regular import check_expansion, open_regular
 
-GREY = 128
+GREY = 128  # of points without colours
 FAR = 1e4  # units from the origin, from which a cloud gets local coordinates of its own
 VERSION, POINT_FORMAT = "1.4", 7  # with colours of 16 bits, and a CRS as WKT
 STEPS = (1 << 31) - 1  # of a coordinate, above and below its offset
@@ -45,14 +45,20 @@ def is_cloud(element: plyfile.PlyElement) -> bool:
 def ply_cloud(path: Path, element: plyfile.PlyElement, offset: NDArray[np.float64] | None
               ) -> Gaussians:
     """The gaussians of a PLY of points; see `models.read_model`."""
+    return _cloud(path, *ply_points(path, element), offset)
+
+
+def ply_points(path: Path, element: plyfile.PlyElement
+               ) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
+    """The points float64[N, 3] of vertices and, if they have any, their colours [N, 3], as they
+    are stored; InputError if these are no points."""
     rows = element.data
-    if any(rows.dtype[name].kind not in "fiu" for name in "xyz"):
-        raise InputError(f"{path}: x, y or z of its points is a list; export the cloud again")
-    colours = None
-    if all(name in rows.dtype.names and rows.dtype[name].kind in "fiu" for name in COLOURS):
-        colours = np.stack([rows[name] for name in COLOURS], axis=1)
+    numbers = [name for name in rows.dtype.names if rows.dtype[name].kind in "fiu"]
+    if not set("xyz") <= set(numbers):
+        raise InputError(f"{path}: its vertices have no numbers x, y and z; give a PLY of points")
     points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
-    return _cloud(path, points, colours, offset)
+    return points, np.stack([rows[name] for name in COLOURS], axis=1) if (
+        set(COLOURS) <= set(numbers)) else None
 
 
 def _cloud(path: Path, points: NDArray[np.float64], colours: NDArray[np.generic] | None,

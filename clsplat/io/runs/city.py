@@ -22,7 +22,7 @@ from clsplat.io.folders import new_folder
 from clsplat.io.models.ply import start_of, write_ply
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
 from clsplat.io.records import digest_of, read_object, write_object
-from clsplat.io.runs.run import CITY, EXPOSURES, FILES, RunFolder, read_exposures, write_exposures
+from clsplat.io.runs.run import CITY, FILES, RunFolder, write_exposures
 from clsplat.io.scenes.write import link_again, write_scene
 from clsplat.partition.region import DAMAGED, Partition, Region
 from clsplat.response import Response
@@ -155,7 +155,7 @@ class CityFolder:
             write_object(partial / REGION, {**region.record(), WINDOWS: dict(windows),
                                              VISITS: dict(visits or {})})
             if exposures is not None:
-                write_exposures(partial / EXPOSURES, {
+                write_exposures(partial, {
                     view.name: exposures[view.name] for view in part.views
                     if view.name in exposures})
             write_ply(partial / INITIAL, initial, scene.offset, sphere=True)
@@ -198,10 +198,6 @@ class BlockFolder:
         except DAMAGED as error:
             raise InputError(f"{path}: damaged ({reason(error)}); partition the city again"
                              ) from None
-
-    def responses(self) -> dict[str, Response] | None:
-        """The responses of views from the coarse run; None: it learned none."""
-        return read_exposures(self.path / EXPOSURES)
 
     def check_own(self, model: Path) -> None:
         """InputError for a PLY of another block's training. One of an earlier version does not

@@ -12,8 +12,6 @@ from typing import Any
 import clsplat
 from clsplat.errors import InputError
 
-ENTRIES = ("clsplat", "clsplat.exe", "__main__.py")  # names of the program of the command line
-
 
 def origin() -> dict[str, Any]:
     """The keys `version`, `commit`, `date` and `command`; a value that is unknown is None."""
@@ -25,10 +23,8 @@ def origin() -> dict[str, Any]:
 def _command_line() -> str | None:
     """The command that this process was started with, if it is one of clsplat."""
     program = Path(sys.argv[0] if sys.argv else "")
-    if program.name not in ENTRIES or program.name == ENTRIES[-1] and (
-            program.parent != Path(clsplat.__file__).parent):
-        return None
-    return shlex.join(["clsplat", *sys.argv[1:]])
+    is_ours = program.stem == "clsplat" or program.parent == Path(clsplat.__file__).parent
+    return shlex.join(["clsplat", *sys.argv[1:]]) if is_ours else None
 
 
 def checkout_commit() -> str | None:
@@ -47,15 +43,12 @@ def checkout_commit() -> str | None:
 
 def scene_record(scene: Path, folder: Path) -> dict[str, str]:
     """Describe where a scene is, for a record in `folder`: "scene", relative to the folder, which
-    stays right when both are moved together, and "scene_absolute"; InputError if its path is not
-    UTF-8."""
+    stays right when both are moved together, and "scene_absolute"."""
     absolute = os.path.realpath(scene)
     try:
         relative = os.path.relpath(absolute, os.path.realpath(folder))
     except ValueError:  # another drive, on Windows
         relative = absolute
-    if absolute.encode(errors="replace").decode() != absolute:
-        raise InputError(f"{scene}: its path is not UTF-8; rename its folder")
     return {"scene": Path(relative).as_posix(), "scene_absolute": absolute}
 
 

@@ -238,14 +238,6 @@ class RunFolder:
         except (KeyError, ValueError) as error:
             raise InputError(f"{path}: {complaint} ({STATE}: {reason(error)}); {cure}") from None
 
-    def save_exposures(self, exposures: Mapping[str, Response]) -> None:
-        """Replace the learned responses of views, by name."""
-        write_exposures(self.path / EXPOSURES, exposures)
-
-    def load_exposures(self) -> dict[str, Response] | None:
-        """Load the responses of views by name, or None if the run learned none."""
-        return read_exposures(self.path / EXPOSURES)
-
     def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = ()
                    ) -> None:
         """Replace the finished model; see `ply.write_ply`."""
@@ -305,16 +297,17 @@ def _whole_lines(data: bytes) -> bytes:
     return data[:data.rfind(b"\n") + 1]
 
 
-def write_exposures(path: Path, responses: Mapping[str, Response]) -> None:
-    """Write the responses of views by name, without rounding: the rows [M | t] of the transform,
-    and the vignetting if there is any."""
-    write_object(path, {name: [*response.transform.ravel().tolist(), *(
+def write_exposures(folder: Path, responses: Mapping[str, Response]) -> None:
+    """Write the responses of views by name into the folder of a run or a block, without rounding:
+    the rows [M | t] of the transform, and the vignetting if there is any."""
+    write_object(folder / EXPOSURES, {name: [*response.transform.ravel().tolist(), *(
         response.vignetting.tolist() if response.has_vignetting else [])]
         for name, response in responses.items()}, indent=0)
 
 
-def read_exposures(path: Path) -> dict[str, Response] | None:
+def read_exposures(folder: Path) -> dict[str, Response] | None:
     """Read what `write_exposures` wrote, None without it; InputError if it is damaged."""
+    path = folder / EXPOSURES
     if not path.is_file():
         return None
     rows = _rows(path, (TRANSFORM, TRANSFORM + VIGNETTING), "a file of exposures")

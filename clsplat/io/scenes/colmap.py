@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError, reason
+from clsplat.errors import InputError
+from clsplat.io.fields import reading
 from clsplat.io.photos.lenses import undistorted_model
 from clsplat.io.scenes.checks import checked_scene
 from clsplat.io.scenes.colmap_files import PARTS, PINHOLES, read_part
@@ -171,15 +172,8 @@ def _part_of(model: Path, part: str, may_be_empty: bool) -> Any:
     """One of the lists of `read_part` of a model, which is binary if any of its files is."""
     kind = "bin" if any((model / f"{each}.bin").exists() for each in PARTS) else "txt"
     path = model / f"{part}.{kind}"
-    try:
+    with reading(path, f"the {part} of a COLMAP model", "copy the model again"):
         content = read_part(path, part)
-    except FileNotFoundError:
-        raise InputError(f"{path}: missing from the COLMAP model; copy the whole model") from None
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; copy the model again") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions"
-                         ) from None
     if not (may_be_empty or len(content.ids if part == "points3D" else content)):
         raise InputError(f"{path}: holds no {part}; reconstruct the scene again")
     return content
@@ -222,8 +216,6 @@ def write_reconstruction(folder: Path, reconstruction: pycolmap.Reconstruction) 
     does not notice a full disk; InputError if it is not whole."""
     reconstruction.write(folder)
     for part in PARTS:
-        try:
-            read_part(folder / f"{part}.bin", part)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{folder / part}.bin: cannot be written whole ({reason(error)}); "
-                             "free some space and try again") from None
+        path = folder / f"{part}.bin"
+        with reading(path, "written whole", "free some space and try again"):
+            read_part(path, part)

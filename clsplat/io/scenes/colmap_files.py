@@ -71,22 +71,16 @@ class Points(NamedTuple):
 
 
 def read_part(path: Path, part: str) -> Any:
-    """Read one of PARTS, .bin or .txt: a list of cameras or images, or Points; ValueError if the
-    file is damaged, OSError if it cannot be read."""
+    """Read one of PARTS, .bin or .txt: a list of cameras or images, or Points; an error of any kind
+    if the file is damaged or cannot be read, see `fields.reading`."""
     return (_read_binary if path.suffix == ".bin" else _read_text)(path, part)
 
 
 def _read_binary(path: Path, part: str) -> Any:
     with open_regular(path) as file:
-        size = file.seek(0, 2)
-        if size < 8:
-            raise ValueError(f"empty or cut short ({size} bytes)")
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     count, = _LENGTH.unpack_from(data)
-    try:
-        return _BINARY[part](data, count)
-    except (struct.error, IndexError, OverflowError):
-        raise ValueError(f"cut short ({size} bytes are too few for its {count} {part})") from None
+    return _BINARY[part](data, count)
 
 
 def _binary_cameras(data: mmap.mmap, count: int) -> list[Camera]:
@@ -110,17 +104,11 @@ def _binary_images(data: mmap.mmap, count: int) -> list[Image]:
         number, *pose, camera = _IMAGE.unpack_from(data, position)
         begin = position + _IMAGE.size
         end = data.find(b"\0", begin)
-        if end < 0:
-            raise IndexError
-        try:
-            name = data[begin:end].decode()
-        except UnicodeDecodeError:
-            raise ValueError(f"the name of image {number} is not UTF-8") from None
         observed, = _LENGTH.unpack_from(data, end + 1)
         position = end + 9 + _OBSERVATION.itemsize * observed
-        images.append(Image(number, pose[:4], pose[4:], camera, name))
-    if position > len(data):
-        raise IndexError
+        if end < 0 or position > len(data):
+            raise ValueError(f"its bytes are too few for {count} images")
+        images.append(Image(number, pose[:4], pose[4:], camera, data[begin:end].decode()))
     return images
 
 
@@ -133,7 +121,7 @@ def _binary_points(data: mmap.mmap, count: int) -> Points:
         position = begin + _TRACK.itemsize * length
         tracks.append(data[begin:position])
     if position > len(data):
-        raise IndexError
+        raise ValueError(f"its bytes are too few for {count} points")
     points = np.frombuffer(b"".join(heads), _POINT)
     return Points(
         points["id"].astype(np.int64), points["position"], points["colour"],
@@ -161,7 +149,7 @@ def _read_text(path: Path, part: str) -> Any:
             if part == "images":
                 _check_observations(next(lines, (0, b""))[1].split())
         except (ValueError, IndexError, OverflowError) as error:
-            raise ValueError(f"line {number} is damaged ({reason(error)})") from None
+            raise ValueError(f"line {number}: {reason(error)}") from None
     if part != "points3D":
         return rows
     ids, positions, colours, tracks = zip(*rows) if rows else ((), (), (), ())

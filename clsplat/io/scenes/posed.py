@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.georeference import Georeference
 from clsplat.io.fields import LARGEST_COORDINATE
 from clsplat.io.models.ply import read_vertices
+from clsplat.io.models.points import GREY, ply_points
 from clsplat.io.photos.lenses import Model, undistorted_model
 from clsplat.io.scenes.checks import ROTATION_TOLERANCE, checked_scene
 from clsplat.io.scenes.colmap import read_model
@@ -34,16 +34,14 @@ TERMS = {"PINHOLE": "", "OPENCV": "k1 k2 p1 p2", "FULL_OPENCV": "k1 k2 p1 p2 k3 
          "OPENCV_FISHEYE": "k1 k2 k3 k4", "THIN_PRISM_FISHEYE": "k1 k2 p1 p2 k3 k4 s1 s2"}
 BROWN = ("PINHOLE", "OPENCV", "FULL_OPENCV")
 FISHEYE = ("OPENCV_FISHEYE",)
-GREY = 128  # of points without colours
 FLIPPED = np.array([1.0, -1.0, -1.0])  # camera axes right, up, back to right, down, forward
 PLY_NAMES = ("points3D.ply", "sparse_pc.ply")
-COLOURS = ("red", "green", "blue")
 # sampled points: a view, and in all
 POINTS_A_VIEW, MOST_POINTS, FEWEST_POINTS = 500, 500_000, 100
 TRIES_A_POINT = 8
 NEIGHBOURS = 16  # nearest views, of which one more must see a sampled point
 DEPTHS = (0.5, 8.0)  # of sampled points, in distances to the farthest of those neighbours
-LEAST_ANGLE = np.radians(1.0)  # between two views of a sampled point
+LEAST_BASE = np.radians(1.0)  # distance of two views of a sampled point, as a share of its depth
 
 
 class Cloud(NamedTuple):
@@ -192,14 +190,10 @@ def read_cloud(folder: Path, ply: Path | None, transform: NDArray[np.float64]) -
 
 
 def _ply_cloud(path: Path) -> Cloud:
-    rows = read_vertices(path)[0].data
-    kinds = {name: rows.dtype[name].kind for name in rows.dtype.names}
-    if any(kinds.get(name, "") not in tuple("fiu") for name in "xyz"):
-        raise InputError(f"{path}: its vertices have no x, y, z; give a PLY of points")
-    points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
-    if any(name not in kinds or rows.dtype[name] != np.uint8 for name in COLOURS):
-        return Cloud(points, np.full(points.shape, GREY, np.uint8))
-    return Cloud(points, np.stack([rows[name] for name in COLOURS], axis=1))
+    points, colours = ply_points(path, read_vertices(path)[0])
+    if colours is None or colours.dtype != np.uint8:
+        colours = np.full(points.shape, GREY, np.uint8)
+    return Cloud(points, colours)
 
 
 def sample_points(path: Path, views: Sequence[View]) -> NDArray[np.float64]:
@@ -207,8 +201,8 @@ def sample_points(path: Path, views: Sequence[View]) -> NDArray[np.float64]:
 
     Each point lies on the ray of a random pixel of a view, at a depth whose logarithm is uniform
     from 0.5 to 8 times the distance to the 16th nearest view, and is kept if one of those 16 views
-    sees it too, from a direction at least a degree apart. The same views give the same points (seed
-    0). InputError, which names the path, if hardly a point is kept.
+    sees it too, about a degree apart or more. The same views give the same points (seed 0).
+    InputError, which names the path, if hardly a point is kept.
     """
     random = np.random.default_rng(0)
     cameras = [view.camera for view in views]
@@ -216,24 +210,15 @@ def sample_points(path: Path, views: Sequence[View]) -> NDArray[np.float64]:
     most = min(POINTS_A_VIEW, max(1, MOST_POINTS // len(cameras)))
     away, nearest = cKDTree(positions).query(
         positions, [*range(1, min(NEIGHBOURS + 1, len(cameras)) + 1)])
-
-    def directions(points: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
-        rays: NDArray[np.float64] = points - camera.position
-        rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), np.finfo(float).tiny)
-        return rays
-
-    kept, (low, high) = [], np.log(DEPTHS)
-    for camera, farthest, others in zip(cameras, away[:, -1], nearest):
-        count = TRIES_A_POINT * most
+    kept, (low, high), count = [], np.log(DEPTHS), TRIES_A_POINT * most
+    for camera, distances, others in zip(cameras, away, nearest):
         pixels = random.uniform((0, 0), (camera.width, camera.height), (count, 2))
         with np.errstate(all="ignore"):  # points behind a camera, or too far, are not kept
-            depths = farthest * np.exp(random.uniform(low, high, count))
+            depths = distances[-1] * np.exp(random.uniform(low, high, count))
             rays = np.column_stack([(pixels - camera.centre) / camera.focal, np.ones(count)])
             points = (rays * depths[:, None] - camera.translation) @ camera.rotation
-            own, seen = directions(points, camera), np.zeros(count, bool)
-            for other in (cameras[index] for index in others):
-                apart = np.linalg.norm(own - directions(points, other), axis=1)
-                seen |= other.shows(points) & (apart > LEAST_ANGLE)
+            seen = np.any([cameras[other].shows(points) & (distance > LEAST_BASE * depths)
+                           for distance, other in zip(distances, others)], axis=0)
             seen &= (np.abs(points) <= LARGEST_COORDINATE).all(axis=1)
         kept.append(points[seen][:most])
     sampled = np.concatenate(kept)

@@ -10,6 +10,7 @@ import numpy as np
 from clsplat.config.option import AUTO
 from clsplat.covisibility.photometry import DARKENS, DRIFTS, corner_darkening, exposure_drift
 from clsplat.errors import InputError
+from clsplat.io.runs.run import write_exposures
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.options import ExposureOptions
 from clsplat.response import Lenses, Response
@@ -83,7 +84,7 @@ class PhotoResponses(Part):
 
     def write(self, run: RunFolder, session: Session) -> None:
         """Write exposures.json."""
-        run.save_exposures(self.responses(session))
+        write_exposures(run.path, self.responses(session))
 
 
 def _exposure(survey: Survey) -> Decision:

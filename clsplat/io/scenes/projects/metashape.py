@@ -134,11 +134,10 @@ def _optics(sensor: Element) -> Optics:
                           key=lambda each: each.get("class") != "adjusted")
     if not calibrations:
         raise ValueError("its sensor has no calibration")
-    sizes = [each for each in (calibrations[0].find("resolution"), sensor.find("resolution"))
-             if each is not None]
-    if not sizes:
+    resolution = sensor.find(".//resolution")
+    if resolution is None:
         raise ValueError("its sensor has no resolution")
-    width, height = (pixels(parsed(sizes[0].get(key), key), key) for key in ("width", "height"))
+    width, height = (pixels(parsed(resolution.get(key), key), key) for key in ("width", "height"))
     value = {key: parsed(calibrations[0].findtext(key) or "0", key)
              for key in ("f", "cx", "cy", "b1", *DISTORTION)}
     focal = value["f"] + value["b1"], value["f"]
