@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
-from clsplat.io.photos.photo import Levels, Photo, Source, opened, reason_of
+from clsplat.io.photos.photo import Levels, Source, opened, reason_of
 from clsplat.io.photos.resample import joined, resampled_bands
 
 JPEG_QUALITY = 92
@@ -82,7 +82,6 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
 
 
 def read_image(source: Source, size: tuple[int, int] | None = None,
-               window: tuple[int, int, int, int] | None = None,
                levels: Levels | None = None) -> NDArray[np.uint8]:
     """Read a photo as uint8[H, W, 3], sRGB.
 
@@ -93,32 +92,24 @@ def read_image(source: Source, size: tuple[int, int] | None = None,
     ----------
     source : a path, the encoded bytes of a photo, or an array, as `photo.opened` takes them.
     size : (width, height), pixels, to which the image is resampled by area averaging.
-    window : (left, top, right, bottom), pixels, the part to read; None reads all.
     levels : the samples of 16 bits that become black and white.
     """
-    with opened(source) as photo:
-        photo.levels = levels
-        left, top, right, bottom = window = window or (0, 0, photo.width, photo.height)
-        size = size or (right - left, bottom - top)
-        return joined(_bands(photo, size, window), size)
+    size = size or image_size(source)
+    return joined(image_bands(source, size, levels=levels), size)
 
 
 def image_bands(source: Source, size: tuple[int, int],
                 window: tuple[int, int, int, int] | None = None,
                 levels: Levels | None = None) -> Iterator[NDArray[np.uint8]]:
-    """Yield what `read_image` reads from the top down, uint8[n, W, 3] each; where the format
-    allows, no more than a few rows of the photo are in memory at once."""
+    """Yield what `read_image` reads from the top down, uint8[n, W, 3] each, or of a window (left,
+    top, right, bottom) in pixels; where the format allows, no more than a few rows of the photo are
+    in memory at once."""
     with opened(source) as photo:
         photo.levels = levels
-        yield from _bands(photo, size, window or (0, 0, photo.width, photo.height))
-
-
-def _bands(photo: Photo, size: tuple[int, int], window: tuple[int, int, int, int]
-           ) -> Iterator[NDArray[np.uint8]]:
-    left, top, right, bottom = window
-    old = right - left, bottom - top
-    bands = (band[:, left:right] for band in photo.bands(top, bottom))
-    return bands if size == old else resampled_bands(bands, old, size)
+        left, top, right, bottom = window or (0, 0, photo.width, photo.height)
+        old = right - left, bottom - top
+        bands = (band[:, left:right] for band in photo.bands(top, bottom))
+        yield from bands if size == old else resampled_bands(bands, old, size)
 
 
 def window_of(camera: Camera, size: tuple[int, int]) -> tuple[int, int, int, int]:

@@ -149,14 +149,12 @@ class _ArrayPhoto(Photo):
         self.is_deep = pixels.dtype == np.uint16 and channels < 3
 
     def _bands(self, top: int, bottom: int, kind: str) -> Iterator[NDArray[Any]]:
-        whole = 1.0 if self._pixels.dtype == np.float32 else np.iinfo(self._pixels.dtype).max
-        step = band_rows(self.width, self._pixels.shape[2])
-        for row in range(top, bottom, step):
-            rows = self._pixels[row:min(row + step, bottom)]
-            if rows.dtype != kind:
-                scaled = np.clip(np.nan_to_num(rows), 0, whole) * (np.iinfo(kind).max / whole)
-                rows = (scaled + 0.5).astype(kind)
-            yield rows
+        rows = self._pixels[top:bottom]
+        if rows.dtype != kind:
+            whole = 1.0 if rows.dtype == np.float32 else np.iinfo(rows.dtype).max
+            scaled = np.clip(np.nan_to_num(rows), 0, whole) * (np.iinfo(kind).max / whole)
+            rows = (scaled + 0.5).astype(kind)
+        yield rows
 
 
 @contextmanager
@@ -212,29 +210,26 @@ def common_levels(sources: Sequence[Source], deep: Sequence[bool]
 
 
 @contextmanager
-def _input(source: str | Path | bytes) -> Iterator[tuple[str | Path, Any]]:
+def _input(source: str | Path | bytes, name: str | Path = "") -> Iterator[tuple[str | Path, Any]]:
     """The name of an image for messages, and OpenImageIO's input of it."""
+    import OpenImageIO as oiio
+
     if isinstance(source, bytes):  # OpenImageIO does not read Python's memory
         with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
             path = Path(folder, "image")
             path.write_bytes(source)
-            yield from _checked_input(str(path), f"encoded image of {len(source)} bytes",
-                                      len(source))
+            with _input(path, f"encoded image of {len(source)} bytes") as found:
+                yield found
         return
-    with reading(str(source), "an image that can be read", f"copy it again, or {CONVERT}"):
-        with open_regular(source) as file:
+    name, path = name or source, Path(source)
+    with reading(path, "an image that can be read", f"copy it again, or {CONVERT}"):
+        with open_regular(path) as file:
             size = file.seek(0, 2)
-    if str(source).encode(errors="replace").decode() != str(source):  # OpenImageIO takes no other
-        raise InputError(f"{source}: the path of the image is not UTF-8; rename it")
-    yield from _checked_input(str(source), source, size)
-
-
-def _checked_input(path: str, name: str | Path, size: int) -> Iterator[tuple[str | Path, Any]]:
-    import OpenImageIO as oiio
-
+    if str(path).encode(errors="replace").decode() != str(path):  # OpenImageIO takes no other
+        raise InputError(f"{path}: the path of the image is not UTF-8; rename it")
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)  # keep colours as stored, whatever their alpha
-    image = oiio.ImageInput.open(path, config)
+    image = oiio.ImageInput.open(str(path), config)
     reason = reason_of(oiio)
     if image is None:
         raise InputError(f"{name}: not an image that can be read ({reason}); "

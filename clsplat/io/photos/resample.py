@@ -31,10 +31,8 @@ def resample(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uin
     OpenImageIO's box filter is equal for whole ratios, but for others it gives every touched pixel
     its full weight, which shifts edges by a quarter pixel.
     """
-    height, width = pixels.shape[:2]
-    step = band_rows(width, pixels.shape[2])
-    bands = (pixels[begin:begin + step] for begin in range(0, height, step))
-    return joined(resampled_bands(bands, (width, height), size), size, pixels.shape[2])
+    height, width, channels = pixels.shape
+    return joined(resampled_bands([pixels], (width, height), size), size, channels)
 
 
 def joined(bands: Iterable[NDArray[np.uint8]], size: tuple[int, int], channels: int = 3
