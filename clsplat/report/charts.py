@@ -1,6 +1,8 @@
 """The charts of pages as data, which web/chart.js draws with uPlot in the reader's browser.
 
-A chart is a function that returns a Chart, or None if there is nothing to draw.
+A chart is a function that returns a Chart, or None if there is nothing to draw: `panels` with one
+`x` axis, below each other, or as a `pair` beside each other, and `marks`, event of MARKS ->
+[(x, text)].
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from clsplat.report.page import page, script_json
 from clsplat.report.scores import UPHEAVALS, Curve, Record, band, curve, is_upheaval
 from clsplat.schedule.plan import size_at
 
+Chart = dict[str, Any]  # what web/chart.js reads
 DIGITS = 6  # of a number in a page
 MARKS = {"level": "dashed: larger photos begin", "grow": "|: gaussians added",
          "reset": "▾: opacities lowered"}  # event -> what its mark means
@@ -42,43 +45,13 @@ class Line:
     high: NDArray[np.float64] | None = None
 
 
-@dataclass(frozen=True)
-class Panel:
-    """One pair of axes.
-
-    Attributes
-    ----------
-    scale : of y: "linear", "log", or "count", from 0 with k and M.
-    levels : y at which a line is drawn.
-    """
-
-    title: str
-    lines: Sequence[Line]
-    scale: str = "linear"
-    levels: Sequence[float] = ()
-
-
-@dataclass(frozen=True)
-class Chart:
-    """Panels with one x axis, below each other, or a pair beside each other.
-
-    Attributes
-    ----------
-    marks : event of MARKS -> [(x, text)].
-    """
-
-    x: str
-    panels: Sequence[Panel]
-    pair: bool = False
-    marks: Mapping[str, Sequence[tuple[float, str]]] | None = None
-
-    def data(self) -> dict[str, Any]:
-        """What web/chart.js reads: a panel's `data` are the columns x, y, y, ... of uPlot."""
-        return {"x": self.x, "marks": self.marks or {}, "panels": [
-            {"title": panel.title, "scale": panel.scale, "levels": list(panel.levels),
-             "data": _columns(panel.lines),
-             "lines": [{"label": line.label, "colour": line.colour, "kind": line.kind}
-                       for line in panel.lines]} for panel in self.panels]}
+def _panel(title: str, lines: Sequence[Line], scale: str = "linear", levels: Sequence[float] = ()
+           ) -> dict[str, Any]:
+    """One pair of axes: the `scale` of y is "linear", "log", or "count", from 0 with k and M, and a
+    line is drawn at the `levels` of y; `data` are the columns x, y, y, ... of uPlot."""
+    return {"title": title, "scale": scale, "levels": list(levels), "data": _columns(lines),
+            "lines": [{"label": line.label, "colour": line.colour, "kind": line.kind}
+                      for line in lines]}
 
 
 def _columns(lines: Iterable[Line]) -> list[list[float | None]]:
@@ -106,14 +79,14 @@ def drawn(description: str, chart: Callable[..., Chart | None], *arguments: obje
     """
     try:
         found = chart(*arguments)
-        data = "" if found is None else script_json(found.data())
+        data = script_json(found)
     except Exception as error:  # noqa: BLE001  (no chart is worth a page)
         reason = next(iter(str(error).splitlines()), "") or type(error).__name__
         return f"<p class=note>{escape(description)}: could not be drawn ({escape(reason)}).</p>\n"
     if found is None:
         return ""
-    marks = "; ".join(MARKS[event] for event, places in (found.marks or {}).items() if places)
-    kind = "chart pair" if found.pair else "chart"
+    marks = "; ".join(MARKS[event] for event, places in found["marks"].items() if places)
+    kind = "chart pair" if found.get("pair") else "chart"
     return (f'<div class="{kind}" role="img" aria-label="{escape(description)}">'
             f'<script type="application/json">{data}</script></div>\n'
             + (f"<p class=note>{escape(marks)}.</p>\n" if marks else ""))
@@ -152,9 +125,9 @@ def comparison_chart(groups: Mapping[str, Sequence[Sequence[Record]]], levels: S
             if len(runs) > 1:
                 lines.append(Line("", (x, low), colour, "band", high))
             lines += [Line("", line, colour, "dots") for line in curves if event]
-        panels.append(Panel(title, lines, "linear" if event else "count",
-                            levels if key == "psnr_cc" else ()))
-    return Chart("training time, s", panels)
+        panels.append(_panel(title, lines, "linear" if event else "count",
+                             levels if key == "psnr_cc" else ()))
+    return {"x": "training time, s", "panels": panels, "marks": {}}
 
 
 def score_chart(records: Sequence[Record]) -> Chart | None:
@@ -164,7 +137,7 @@ def score_chart(records: Sequence[Record]) -> Chart | None:
     """
     if not any(_is_curve(curve(records, "train_seconds", key, "eval")) for key in ("psnr", "ssim")):
         return None
-    panels = [Panel(title, [
+    panels = [_panel(title, [
         Line(label, _once(curve(records, "train_seconds", key + suffix, "eval")), colour, "both")
         for colour, (suffix, label) in enumerate((("_cc", "after the colour fit"), ("", "plain")))])
         for key, title in (("psnr", "PSNR, dB"), ("ssim", "SSIM"))]
@@ -172,7 +145,7 @@ def score_chart(records: Sequence[Record]) -> Chart | None:
     for record in records:
         if is_upheaval(record) and record.get("train_seconds") is not None:
             marks[record["event"]].append((record["train_seconds"], ""))
-    return Chart("training time, s", panels, True, marks)
+    return {"x": "training time, s", "panels": panels, "pair": True, "marks": marks}
 
 
 def step_chart(records: Sequence[Record]) -> Chart | None:
@@ -181,14 +154,14 @@ def step_chart(records: Sequence[Record]) -> Chart | None:
                               for key in ("gaussians", "loss", "level"))
     if not _is_curve(loss):  # a city takes no steps itself
         return None
-    panels = [Panel("gaussians", [Line("gaussians", gaussians, kind="steps")], "count"),
-              Panel("loss", [Line("loss", loss)], "log")]
+    panels = [_panel("gaussians", [Line("gaussians", gaussians, kind="steps")], "count"),
+              _panel("loss", [Line("loss", loss)], "log")]
     if len(set(level[1])) > 1:
-        panels.append(Panel("level: how many times smaller the images are",
-                            [Line("level", level, kind="steps")], "count"))
+        panels.append(_panel("level: how many times smaller the images are",
+                             [Line("level", level, kind="steps")], "count"))
     changes = zip(*curve(records, "iteration", "level", "level"))
-    return Chart("iteration", panels, marks={
-        "level": [(iteration, size_at(value)) for iteration, value in changes]})
+    return {"x": "iteration", "panels": panels, "marks": {
+        "level": [(iteration, size_at(value)) for iteration, value in changes]}}
 
 
 def _is_curve(line: Curve) -> bool:

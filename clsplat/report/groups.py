@@ -135,25 +135,14 @@ def _name_part(run: Trained, key: str) -> str:
 def warnings(groups: Mapping[str, Sequence[Trained]]) -> list[str]:
     """Sentences on what makes the comparison of groups unfair or uncertain."""
     runs = [run for group in groups.values() for run in group]
-    sentences = []
-    for meaning, keys in UNFAIR.items():
-        for key in keys:
-            texts = sorted({run.text(key) for run in runs})
-            if len({run.plain(key) for run in runs}) > 1:
-                sentences.append(f"{meaning} ({title(key)}: {' / '.join(texts)}).")
-    if any(str(run.options.get("commit")).endswith("-dirty") for run in runs):
-        sentences.append("clsplat's code had changes that were not committed: runs of the same "
-                         "commit may still differ in code.")
+    different = differing(runs)
+    sentences = [f"{meaning} ({title(key)}: {' / '.join(sorted({run.text(key) for run in runs}))})."
+                 for meaning, keys in UNFAIR.items() for key in keys if key in different]
     if unfinished := [run.name for run in runs if not run.finished]:
         sentences.append(f"Not finished yet: {', '.join(unfinished)}.")
-    seeds = {name: [run.options.get("seed") for run in group] for name, group in groups.items()}
-    if len({tuple(of_group) for of_group in seeds.values()}) > 1:
+    if len({tuple(run.options.get("seed") for run in group) for group in groups.values()}) > 1:
         sentences.append("The groups have different seeds: part of what differs between them may "
                          "be chance.")
-    twice = [name for name, of_group in seeds.items() if len(set(of_group)) < len(of_group)]
-    if twice:
-        sentences.append(f"{', '.join(twice)}: a seed occurs twice, so the spread shown is smaller "
-                         "than the true one.")
     return sentences
 
 

@@ -16,9 +16,7 @@ from clsplat.report.charts import drawn, score_chart, step_chart
 from clsplat.report.city import city_sections
 from clsplat.report.page import Table, folded, full_name, headed, html_of, page
 from clsplat.report.scores import (
-    COLUMNS,
     EXPLAINED,
-    PERCEPTUAL,
     Record,
     main_psnr,
     number,
@@ -31,9 +29,6 @@ from clsplat.scene import Scene
 JPEG_QUALITY = 85
 # attribute of a ShownView, caption
 PANELS = (("photo", "photo"), ("render", "render after the colour fit"), ("error", "its error"))
-LEVELS = (("since", "steps at it", ",.0f"), ("slope", "slope", ".3g"),
-          ("threshold", "threshold", ".3g"), ("frequency", "frequency", ".3g"),
-          ("hits", "hits", ".0f"), ("rounds", "rounds", ".0f"), ("gaussians", "gaussians", ",.0f"))
 PREDICTED = ("Held-out views have an exposure that follows from the training photos alone: {:.0%} "
              "interpolated between those before and after, the rest the mean of all.")
 
@@ -105,17 +100,11 @@ def pictures_html(pictures: Pictures | None) -> str:
         which = ("No view is held out, so these photos were trained on, and are a weaker "
                  f"test than others would be. They were chosen from {pictures.count}.")
     colours = ", ".join(f"rgb{colour}" for colour in COLOURS)
-    scores = [view.scores for view in pictures.shown]
-    columns = [column for column in (*COLUMNS, *PERCEPTUAL) if any(
-        column[0] in of_view for of_view in scores)]
-    numbers = Table("", ("view", *(title for _, title, _ in columns)), [
-        (str(of_view["name"]), *(number(of_view, key, form) for key, _, form in columns))
-        for of_view in scores], range(1, len(columns) + 1))
     return (f"<h2>{title}</h2>\n<p>{which} PSNR measures how similar the two are after the colour "
             f"fit. {EXPLAINED}</p>\n"
             "<div class=scale><b>error: none</b> "
             f'<i style="background: linear-gradient(to right, {colours})"></i>'
-            f"{LARGEST_ERROR:.0%} of full brightness or more</div>\n{views}{numbers.html()}"
+            f"{LARGEST_ERROR:.0%} of full brightness or more</div>\n{views}"
             "<p class=note>The colour fit is a quadratic fit of each render's colours to its "
             "photo; the error is the mean difference of red, green and blue. The PNG files of "
             "<code>clsplat eval</code> have the renders without the fit, too.</p>\n")
@@ -128,7 +117,8 @@ def _view(view: ShownView) -> str:
         f"<figure>{jpeg(getattr(view, panel), f'{panel} of {name}')}"
         f"<figcaption>{caption}</figcaption></figure>" for panel, caption in PANELS)
     return (f"<div class=view>\n<h3>{title}</h3>\n"
-            f"<p>PSNR {with_quality(scores['psnr_cc'])}</p>\n"
+            f"<p>PSNR {with_quality(scores['psnr_cc'])}, SSIM {number(scores, 'ssim_cc', '.4f')}"
+            "</p>\n"
             f"<div class=panels>\n{panels}\n</div>\n</div>\n")
 
 
@@ -158,23 +148,13 @@ def _time_table(records: Sequence[Record]) -> Table | None:
 
 
 def level_table(records: Sequence[Record]) -> Table | None:
-    """A row for each change of the level, with the reason and its numbers; None without any."""
-    rows: list[tuple[str, ...]] = []
-    before = "-"
-    for record in records:
-        level = number(record, "level", "g")
-        if record.get("event") == "level":
-            rows.append((
-                number(record, "iteration", ",.0f"), number(record, "train_seconds", ",.1f"),
-                f"{before} → {level}", str(record.get("reason") or "-"),
-                *(number(record, key, form) for key, _, form in LEVELS)))
-        before = before if level == "-" else level
-    return Table("Level changes", (
-        "step", "training, s", "level", "reason", *(title for _, title, _ in LEVELS)),
-        rows, (0, 1, *range(4, 11)),
-        ("A level has converged when the slope of the scene frequency, per step, is below the "
-         "threshold convergence_hits times in a row (hits). Rounds: of growth, at that level.",)
-        ) if rows else None
+    """A row for each change of the level, with the reason; None without any."""
+    rows = [(number(record, "iteration", ",.0f"), number(record, "train_seconds", ",.1f"),
+             number(record, "level", "g"), number(record, "gaussians", ",.0f"),
+             str(record.get("reason") or "-"))
+            for record in records if record.get("event") == "level"]
+    return Table("Level changes", ("step", "training, s", "to level", "gaussians", "reason"),
+                 rows, range(4)) if rows else None
 
 
 def _duration(seconds: float) -> str:

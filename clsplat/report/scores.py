@@ -28,7 +28,6 @@ EXPLAINED = ("As a rule of thumb for photos of real places, a PSNR from 28 dB is
 # has recovered (training/budget.py has the measurement)
 UPHEAVALS = {"reset": ("opacities just lowered", 100), "level": ("photos just became larger", 40),
              "grow": ("gaussians just added", 40)}
-FALL = 0.05  # dB, which is not chance
 
 
 def curve(records: Iterable[Record], x: str, y: str, event: str | None = None) -> Curve:
@@ -117,25 +116,6 @@ def disturbed(upheavals: Mapping[str, int], iteration: int) -> str:
     return max(recent, key=lambda item: item[0])[1] if recent else ""
 
 
-def falls(records: Sequence[Record]) -> list[str]:
-    """A sentence for each fall of the scores that an upheaval explains."""
-    upheavals: dict[str, int] = {}
-    sentences, before = [], -math.inf
-    for record in records:
-        at = record.get("iteration") or 0
-        if is_upheaval(record):
-            upheavals[record["event"]] = at
-        psnr = main_psnr(record) if record.get("event") == "eval" else None
-        if psnr is None:
-            continue
-        why = disturbed(upheavals, at)
-        if psnr < before - FALL and why:
-            sentences.append(f"The scores fall at step {at:,}: {why}, from which the model "
-                             "recovers.")
-        before = psnr
-    return sentences
-
-
 def with_quality(psnr: float | None) -> str:
     """A PSNR and its word by QUALITIES, such as "26.41 dB (good)"."""
     if psnr is None or math.isnan(psnr):
@@ -157,7 +137,7 @@ def score_table(records: Sequence[Record]) -> Table | None:
         note += (" FLIP and LPIPS, lower is better, are close to what people see; they are "
                  "computed for the finished model only.")
     return Table("", tuple(title for _, title, _ in columns), rows, range(len(columns)),
-                 (note, *falls(records))) if rows else None
+                 (note,)) if rows else None
 
 
 def number(record: Mapping[str, Any], key: str, form: str) -> str:

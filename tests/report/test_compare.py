@@ -90,10 +90,8 @@ def test_options_that_a_schedule_does_not_use_are_left_out():
     ({"downscale": 2.0}, "so scores cannot be compared (downscale:"),
     ({"opencl_device": "MI300"}, "scores can be compared, times cannot (OpenCL device: H100"),
     ({"version": "9"}, "different versions of clsplat (version"),
-    ({"commit": "ab-dirty"}, "changes that were not committed"),
     ({"finished": False}, "Not finished yet: b."),
     ({"seed": 3, "size": "L"}, "The groups have different seeds"),
-    ({}, "a seed occurs twice"),
 ])
 def test_what_is_unfair_is_said(change, words):
     found = warnings(grouped([trained("a"), trained("b", **change)]))

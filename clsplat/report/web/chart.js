@@ -1,5 +1,5 @@
 // Draws the charts of a page with uPlot: hover shows values, dragging zooms, a double click ends it.
-// Each .chart holds JSON as `Chart.data` of charts.py makes it.
+// Each .chart holds JSON as charts.py makes it.
 (() => {
   const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "ink"];
   const DASHES = [[], [8, 4], [2, 3], [8, 3, 2, 3]];
