@@ -24,7 +24,7 @@ from clsplat.constants import (
     SPLAT_MEAN,
     SPLAT_REALS,
 )
-from clsplat.densify.statistics import Statistics
+from clsplat.densify.scores import Statistics
 from clsplat.device import Array, Device
 from clsplat.gaussians import LEARNED
 from clsplat.loss.image_loss import image_loss, loss_value

@@ -52,16 +52,16 @@ HARMONICS = Kernel("project.cl", "harmonics_gradients", each("V"), counts=("uint
 CAMERA = ArraySpec((CAMERA_REALS,))
 
 
+@dataclass(eq=False)
 class FieldGradients(Mapping[str, Array]):
     """Gradients by field, real[V, *row shape]; those by the harmonics are computed when asked for.
 
     The gradient by a harmonic is the gradient by the colour times the harmonic, so 6 floats of a
     gaussian stand for 48.
 
-    Parameters
+    Attributes
     ----------
-    device : of the arrays.
-    stored : field name -> gradient, without sh_constant and sh_rest.
+    stored : field name -> gradient; those by the harmonics are added here.
     grad_colours : real[V, 3], by the colours.
     directions : real[V, 3], unit vectors from the camera.
     harmonics : stored harmonics above the constant, 0, 3, 8 or 15.
@@ -69,22 +69,23 @@ class FieldGradients(Mapping[str, Array]):
     counts : uint[FRAME_COUNTS], of the frame.
     """
 
-    def __init__(self, device: Device, stored: Mapping[str, Array], grad_colours: Array,
-                 directions: Array, harmonics: int, defines: Defines, counts: Array) -> None:
-        self.device, self._stored, self.harmonics = device, dict(stored), harmonics
-        self.counts = counts
-        self.grad_colours, self.directions, self._defines = grad_colours, directions, defines
+    stored: dict[str, Array]
+    grad_colours: Array
+    directions: Array
+    harmonics: int
+    defines: Defines
+    counts: Array
 
     def __getitem__(self, name: str) -> Array:
-        if name in ("sh_constant", "sh_rest") and name not in self._stored:
-            count = len(self.grad_colours)
-            constant = self.device.empty((count, 3))
-            rest = self.device.empty((count, self.harmonics, 3))
-            self.device.launch(HARMONICS, self._defines, counts=self.counts,
-                               grad_colours=self.grad_colours, directions=self.directions,
-                               grad_sh_constant=constant, grad_sh_rest=rest)
-            self._stored.update(sh_constant=constant, sh_rest=rest)
-        return self._stored[name]
+        if name in ("sh_constant", "sh_rest") and name not in self.stored:
+            device, count = self.grad_colours.device, len(self.grad_colours)
+            gradients = dict(grad_sh_constant=device.empty((count, 3)),
+                             grad_sh_rest=device.empty((count, self.harmonics, 3)))
+            device.launch(HARMONICS, self.defines, counts=self.counts, directions=self.directions,
+                          grad_colours=self.grad_colours, **gradients)
+            self.stored.update(sh_constant=gradients["grad_sh_constant"],
+                               sh_rest=gradients["grad_sh_rest"])
+        return self.stored[name]
 
     def __iter__(self) -> Iterator[str]:
         return (field.name for field in LEARNED)
@@ -227,8 +228,8 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
                   active=active, skipped=skipped, frozen=frozen, grad_norm_sum=norms,
                   seen_count=seen, photo=masked, pose_terms=pose_terms,
                   grad_features=grad_features)
-    fields = FieldGradients(device, stored, grad_colours, directions, rows["sh_rest"].shape[1],
-                            defines, counts)
+    fields = FieldGradients(stored, grad_colours, directions, rows["sh_rest"].shape[1], defines,
+                            counts)
     return Gradients(fields, grad_means, active, visible, counts, pose_terms, grad_features)
 
 

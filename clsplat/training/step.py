@@ -16,8 +16,7 @@ from clsplat.constants import (
 )
 from clsplat.densify.grow import Candidates, Growth
 from clsplat.densify.round import Round
-from clsplat.densify.scores import taming_scores
-from clsplat.densify.statistics import Statistics
+from clsplat.densify.scores import Statistics, taming_scores
 from clsplat.device import Array, Graph
 from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.image_loss import is_masked

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clsplat.bench import selftest
-from clsplat.densify.statistics import Statistics
+from clsplat.densify.scores import Statistics
 from clsplat.loss.image_loss import image_loss
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.primitives.compact import compact

@@ -106,7 +106,7 @@ class Lazy:
         if by_colour:
             for name in ("sh_constant", "sh_rest"):
                 del stored[name]
-            stored = FieldGradients(self.device, stored, upload(colours), upload(directions), K,
+            stored = FieldGradients(stored, upload(colours), upload(directions), K,
                                     (("SH_REST", K), ("ANTIALIASED", 0), ("DEGREE", DEGREE)),
                                     counts)
         gradients = Gradients(stored, None, upload(rows), upload(visible), counts)

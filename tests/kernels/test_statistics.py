@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.constants import COUNT_FAILED, COUNT_VISIBLE, NO_ROW
-from clsplat.densify.statistics import Statistics
+from clsplat.densify.scores import Statistics
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.pipeline import Room
 from tests import cases
