@@ -96,17 +96,13 @@ def reading_bytes(views: Sequence[View]) -> int:
 
 def size_note(views: Sequence[View], options: SceneOptions) -> str | None:
     """A message for the user if --max-resolution makes photos smaller than -r does, or None."""
-    def reduced(view: View, most: float = 0) -> tuple[int, int]:
-        camera = view.camera.reduced(options.downscale, most)
-        return camera.width, camera.height
-
-    limited = [view for view in views if reduced(view, options.max_resolution) < reduced(view)]
-    if not limited:
+    largest = max((view.camera for view in views),
+                  key=lambda camera: max(camera.width, camera.height))
+    small = largest.reduced(options.downscale, options.max_resolution)
+    if small.width == largest.reduced(options.downscale).width:
         return None
-    largest = max(limited, key=lambda view: view.camera.width * view.camera.height)
-    small = reduced(largest, options.max_resolution)
-    return (f"photos of {largest.camera.width}x{largest.camera.height} are reduced to {small[0]}x"
-            f"{small[1]}; --max-resolution none keeps their size")
+    return (f"photos of {largest.width}x{largest.height} are reduced to {small.width}x"
+            f"{small.height}; --max-resolution none keeps their size")
 
 
 def at_level(views: Iterable[View], level: float) -> tuple[View, ...]:
