@@ -8,7 +8,7 @@ itself, because the initial cloud's 1/d says little once growth has refined it m
 
 import math
 from collections.abc import Sequence
-from statistics import median
+from statistics import linear_regression, median
 from typing import NamedTuple
 
 MEDIAN_OF = 3  # differences, so that a single outlier decides nothing
@@ -63,13 +63,11 @@ def _release(samples: Samples) -> Verdict:
 def _end_of_parabola(values: Sequence[float]) -> tuple[float, float]:
     """(slope, curvature) per sample at the last of evenly spaced values, by least squares.
 
-    The parabola is a sum of orthogonal polynomials: 1, t and t^2 - mean(t^2), t = 0 in the middle.
+    The parabola is a sum of orthogonal polynomials: 1, t and t^2 - mean(t^2), t = 0 in the middle;
+    so each coefficient is a regression of its own.
     """
     half = (len(values) - 1) / 2
     places = [number - half for number in range(len(values))]
-    squares = [t * t for t in places]
-    mean = sum(squares) / len(squares)
-    slope = sum(t * y for t, y in zip(places, values)) / sum(squares)
-    bend = (sum((s - mean) * y for s, y in zip(squares, values))
-            / sum((s - mean) ** 2 for s in squares))
+    slope = linear_regression(places, values).slope
+    bend = linear_regression([t * t for t in places], values).slope
     return slope + 2 * bend * half, 2 * bend

@@ -65,7 +65,9 @@ class Reprojection(Part):
         self._pairs = [(view, other) for view, adjacent in enumerate(self._neighbours)
                        for other in adjacent]
         self._first = np.cumsum([0, *map(len, self._neighbours)])  # row of a view's first pair
-        self._compare_colours()
+        # transforms from colours of the source photo to those of the reference photo, real[P, 12]
+        self._colours = self._device.upload(np.tile(np.eye(3, 4).ravel(), (len(self._pairs), 1)))
+        self.recentre()
 
     def begin_level(self, session: Session) -> None:
         cameras = [view.camera for view in session.photos.views]
@@ -74,14 +76,7 @@ class Reprojection(Part):
 
     def recentre(self) -> None:
         if self._exposures:  # which were recentred before
-            self._compare_colours()
-
-    def _compare_colours(self) -> None:
-        """Set the transforms from colours of the source photo to those of the reference photo,
-        real[P, 12]; waits."""
-        unchanged = np.tile(np.eye(3, 4).ravel(), (len(self._pairs), 1))
-        self._colours = (self._exposures.between(self._pairs) if self._exposures
-                         else self._device.upload(unchanged))
+            self._colours = self._exposures.between(self._pairs)
 
     def _drawn(self, number: int, view: int) -> tuple[int, int] | None:
         """(row of the pair, index of a source view) of a view, or None if it has none. The view is
