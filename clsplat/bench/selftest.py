@@ -172,8 +172,7 @@ def adam(device: Device) -> Compared:
             visible]) for field in LEARNED}
         gradients = Gradients(fields, device.zeros((len(visible), 2)), finite, seen,
                               new_counts(device, len(visible)))
-        engine.apply(rows, gradients, engine.numbers(number, RATES),
-                     {field.name: field.width(DEGREE) for field in LEARNED})
+        engine.apply(rows, gradients, engine.numbers(number, RATES), DEGREE)
     return [(rows[name].download() - before, stored()[f"out_{name}"] - before)
             for name in rows for before in [stored()[f"in_{name}"]]]
 

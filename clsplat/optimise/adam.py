@@ -126,7 +126,7 @@ class DeviceAdam:
         self._coast(rows, frozen, camera, True, numbers["before"], degree, counts)
 
     def apply(self, rows: Mapping[str, Array], gradients: Gradients, numbers: Mapping[str, float],
-              used: Mapping[str, int], frozen: Array | None = None) -> None:
+              degree: int, frozen: Array | None = None) -> None:
         """Update the rows that have a gradient in place, unless their frame has failed.
 
         Parameters
@@ -134,21 +134,20 @@ class DeviceAdam:
         rows : field name -> real[N, *row shape], the parameters.
         gradients : of a view or a batch, without those of frozen gaussians.
         numbers : of `numbers`.
-        used : field name -> how many floats of a row may change, from the first: all but those of
-            the harmonics that are not active, whose number never falls.
+        degree : of the active harmonics, which never falls; the others do not change.
         frozen : gradients of frozen gaussians are left out already.
         """
         fields, by_harmonics = gradients.fields, self._others["no_gradient"]
-        by_colour = isinstance(fields, FieldGradients)
         if isinstance(fields, FieldGradients):
-            colours, directions = fields.grad_colours, fields.directions
+            colours, directions, share = fields.grad_colours, fields.directions, SH_C0
         else:
             colours = directions = fields["sh_constant"]  # no directions are read
-            if used["sh_rest"]:
+            share = 1.0
+            if degree:
                 by_harmonics = fields["sh_rest"]
         self.device.launch(
-            STEP, self._defines(_degree_of(used)), work=max(len(gradients.rows), CATCH_UP_EVERY),
-            rank_one=int(by_colour), share=SH_C0 if by_colour else 1.0, counts=gradients.counts,
+            STEP, self._defines(degree), work=max(len(gradients.rows), CATCH_UP_EVERY),
+            rank_one=int(isinstance(fields, FieldGradients)), share=share, counts=gradients.counts,
             **{name: numbers[name] for name in self.NUMBERS if name != "before"},
             visible=gradients.visible, rows=gradients.rows, grad_colours=colours,
             directions=directions, grad_sh_rest=by_harmonics,
@@ -265,8 +264,3 @@ class DeviceAdam:
         for name in ("last_step", "coefficients"):
             self._others[name].write(arrays[name])
         self.steps, self.is_current = step, bool(arrays["is_current"][0])
-
-
-def _degree_of(used: Mapping[str, int]) -> int:
-    """The degree of the active harmonics."""
-    return math.isqrt(used["sh_rest"] // 3 + 1) - 1

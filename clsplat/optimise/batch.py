@@ -37,24 +37,23 @@ class BatchMean:
         self._flags, self._keys = (device.zeros(self.count, np.uint32) for _ in range(2))
         self._sums = {name: device.zeros(array.shape) for name, array in rows.items()}
 
-    def add(self, gradients: Gradients, used: Mapping[str, int]) -> None:
-        """Add the gradients of a view; `used`: how many floats of a field's row change, 0 for
-        none."""
+    def add(self, gradients: Gradients, degree: int) -> None:
+        """Add the gradients of a view; `degree` is that of the active harmonics."""
         device, counts = self.device, gradients.counts
         device.launch(MARK, counts=counts, visible=gradients.visible, rows=gradients.rows,
                       flags=self._flags, keys=self._keys)
         for name, sums in self._sums.items():
-            if used[name]:
+            if degree or name != "sh_rest":
                 gradient, width = gradients.fields[name], math.prod(sums.shape[1:])
                 device.launch(ADD, width=width, share=1 / self.views, counts=counts,
                               rows=gradients.rows, gradient=gradient.reshaped(len(gradient), width),
                               sums=sums.reshaped(self.count, width))
 
-    def mean(self, counts: Array, used: Mapping[str, int], room: int | None) -> Gradients:
+    def mean(self, counts: Array, degree: int, room: int | None) -> Gradients:
         """The mean of the views that were added; begins the next batch.
 
         COUNT_VISIBLE of `counts` becomes the number of gaussians that any of the views saw; after a
-        frame that failed, 0. `used` is as for `add`, `room` as for `compact`.
+        frame that failed, 0. `degree` is as for `add`, `room` as for `compact`.
         """
         device = self.device
         visible = compact(device, self._flags, counts, room)
@@ -62,7 +61,7 @@ class BatchMean:
         device.launch(ROWS, counts=counts, visible=visible, keys=self._keys, flags=self._flags,
                       rows=rows)
         for name, sums in self._sums.items():
-            if used[name]:
+            if degree or name != "sh_rest":
                 width = math.prod(sums.shape[1:])
                 fields[name] = device.empty((len(visible), *sums.shape[1:]))
                 device.launch(TAKE, width=width, counts=counts, visible=visible,

@@ -54,7 +54,7 @@ class NumpyAdam:
         self.steps = step
 
     def apply(self, rows: Mapping[str, Array], gradients: Gradients, numbers: Mapping[str, float],
-              used: Mapping[str, int], frozen: Array | None = None) -> None:
+              degree: int, frozen: Array | None = None) -> None:
         """As `DeviceAdam.apply`, but waits, and moves all rows whose `frozen` is 0."""
         seen = gradients.rows.download()
         usable = seen != NO_ROW
@@ -62,8 +62,8 @@ class NumpyAdam:
         stays[gradients.visible.download()[~usable]] = True
         moved = ~stays
         for field in LEARNED:
-            name, columns = field.name, slice(0, used[field.name])
-            if not used[name] or not moved.any():
+            name, columns = field.name, slice(0, field.width(degree))
+            if not columns.stop or not moved.any():
                 continue
             values = rows[name].download()
             gradient = np.zeros_like(values)

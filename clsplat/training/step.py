@@ -210,7 +210,7 @@ class Step:
     def _enqueue(self, given: _Given, view: int, room: Room | None) -> Measured:
         """The work of a sample, kernel after kernel; `view` is its index, or an input."""
         plan, numbers, parts = given.plan, given.numbers, given.parts
-        views, used, measured = self.options.batch, self._used(plan.degree), Measured()
+        views, measured = self.options.batch, Measured()
         work = self.pass_of(given.sample, parts, view)
         self._model.adam.catch_up_seen(self._learned(), numbers, plan.degree, self._model.frozen,
                                        work.camera, self.units.counts)
@@ -220,11 +220,12 @@ class Step:
             part.learn(work, own)
         gradients = work.gradients
         if self._batch:
-            self._batch.add(gradients, used)
+            self._batch.add(gradients, plan.degree)
             if given.slot < views - 1:
                 return measured
-            gradients = self._batch.mean(self.units.counts, used, self.count if room else None)
-        self._model.adam.apply(self._learned(), gradients, numbers, used, self._model.frozen)
+            gradients = self._batch.mean(self.units.counts, plan.degree,
+                                         self.count if room else None)
+        self._model.adam.apply(self._learned(), gradients, numbers, plan.degree, self._model.frozen)
         for part, own in parts:
             part.move(work, own)
         return measured
@@ -254,11 +255,6 @@ class Step:
     def _learned(self) -> dict[str, Array]:
         rows = self._model.rows
         return {field.name: rows[field.name] for field in LEARNED}
-
-    def _used(self, degree: int) -> dict[str, int]:
-        """Field -> floats of a row that are trained: without inactive spherical harmonics."""
-        used = {field.name: field.width(self._model.sh_degree) for field in LEARNED}
-        return {**used, "sh_rest": 3 * degree * (degree + 2)}
 
     # --- growth
 

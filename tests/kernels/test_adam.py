@@ -30,8 +30,8 @@ def random_rows(count, rng):
 
 def take_step(engine, rows, gradients, step, rates, used, frozen=None):
     """A step of an engine, whose rows with a gradient have caught up with the step before."""
-    engine.apply(rows, gradients, engine.numbers(step, rates), used, frozen)
     degree = isqrt(used["sh_rest"] // 3 + 1) - 1
+    engine.apply(rows, gradients, engine.numbers(step, rates), degree, frozen)
     engine.advance(step, degree, lambda: rows, frozen, gradients.counts)
 
 

@@ -44,7 +44,7 @@ from clsplat.training.frequency import scene_frequency
 from tools.bench.timing import in_turn, spread
 from tools.bench.workloads import DEFINES, CityFrame, ring_camera
 
-USED = {field.name: field.width(3) for field in LEARNED}
+DEGREE = 3
 RATES = {field.name: field.rate for field in LEARNED}
 
 MULTIPLES = {"": 1, "k": 1_000, "M": 1_000_000}
@@ -104,19 +104,19 @@ def adam(city: CityFrame) -> Cases:
         lazy.catch_up_seen(city.rows, lazy.numbers(lazy.steps + 1, RATES), 3, None, city.camera,
                            counts)
 
-    return {"step": partial(engine.apply, city.rows, gradients, engine.numbers(1, RATES), USED),
+    return {"step": partial(engine.apply, city.rows, gradients, engine.numbers(1, RATES), DEGREE),
             "catch up": catch_up}
 
 
 def batch(city: CityFrame) -> Cases:
     """The mean of the gradients of four views, here of the same view."""
     gradients, counts = city.gradients(), new_counts(city.device)
-    sums = BatchMean(city.device, {name: city.rows[name] for name in USED}, 4)
+    sums = BatchMean(city.device, {field.name: city.rows[field.name] for field in LEARNED}, 4)
 
     def mean() -> None:
         for _ in range(sums.views):
-            sums.add(gradients, USED)
-        sums.mean(counts, USED, sums.count)
+            sums.add(gradients, DEGREE)
+        sums.mean(counts, DEGREE, sums.count)
 
     return {"mean of 4": mean}
 
