@@ -49,7 +49,6 @@ class Device:
     largest_buffer : bytes.
     peak_bytes : the largest value that `memory_bytes` had whenever it was read or grew.
     build_seconds : time spent on compiling so far.
-    kernel_bytes : bytes of the arrays passed to kernels so far, counted at each launch.
     launches : kernels and fills that were enqueued so far.
     waits : how often the host waited for the device so far.
     allocations : arrays that were created so far, of new memory or old.
@@ -86,7 +85,6 @@ class Device:
         # built -> types of its scalar arguments, kernels like it that no recording uses
         self._spares: dict[cl.Kernel, tuple[list[Any], list[cl.Kernel]]] = {}
         self.build_seconds = 0.0
-        self.kernel_bytes = 0
         self.launches = self.waits = self.allocations = 0
         self._recording: Graph | None = None
         self._profile: list[tuple[str, cl.Event]] | None = None
@@ -192,7 +190,7 @@ class Device:
         """Set every element of an array to `value`."""
         arguments = self._filled(array, value)
         if self._recording is not None:
-            self._recording.add("fill", None, 0, 0, arguments, 0)
+            self._recording.add("fill", None, 0, 0, arguments)
 
     def _filled(self, array: Array, value: float) -> list[Any]:
         """Set every element of an array to `value`; returns the arguments of the fill."""
@@ -211,13 +209,12 @@ class Device:
         defines : constants of the build.
         values : the kernel's arguments by name, those of both forms and of all builds.
         """
-        arguments, nbytes, items, group = kernel.bind(self, values, defines)
+        arguments, items, group = kernel.bind(self, values, defines)
         if not items:
             return
-        self.kernel_bytes += nbytes
         built = self._build(kernel, defines)
         if self._recording is not None:
-            self._recording.add(kernel.function, built, items, group, arguments, nbytes)
+            self._recording.add(kernel.function, built, items, group, arguments)
         event = built(self.queue, (items,), (group,), *arguments)
         self.launches += 1
         if self._profile is not None:

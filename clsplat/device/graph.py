@@ -69,14 +69,13 @@ class Graph:
         # kernels do not keep arrays alive, whether inputs are among these)
         self._commands: list[tuple[str, Any, int, int, list[Any], bool]] = []
         self._bound: list[tuple[Any, Any]] = []  # (kernel, the list of spare ones)
-        self._nbytes = 0
 
     def __del__(self) -> None:
         for kernel, spare in self._bound:
             spare.append(kernel)
 
-    def add(self, function: str, kernel: Any, items: int, group: int, arguments: list[Any],
-            nbytes: int) -> None:
+    def add(self, function: str, kernel: Any, items: int, group: int, arguments: list[Any]
+            ) -> None:
         """Record a launch, or where `kernel` is None a fill of (buffer, value, bytes).
 
         Parameters
@@ -85,9 +84,7 @@ class Graph:
         kernel : a built kernel.
         items, group : work-items of the launch and of a group.
         arguments : of the launch.
-        nbytes : of the arrays among them.
         """
-        self._nbytes += nbytes
         changes = False
         for index, argument in enumerate(arguments):
             name = self._names.get(id(argument))
@@ -134,5 +131,4 @@ class Graph:
                 event = kernel(queue, (items,), (group,), *arguments)
             if profile is not None:
                 profile.append((function, event))
-        device.kernel_bytes += self._nbytes
         device.launches += len(self._commands)

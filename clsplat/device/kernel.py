@@ -146,7 +146,7 @@ class Kernel:
         return self._contracts[form, choices]
 
     def bind(self, device: Device, values: Mapping[str, Any], defines: Defines = ()
-             ) -> tuple[list[Any], int, int, int]:
+             ) -> tuple[list[Any], int, int]:
         """Check arguments, and put those of the device's form and of a build in their order.
 
         Parameters
@@ -156,8 +156,7 @@ class Kernel:
 
         Returns
         -------
-        The arguments, the bytes of the arrays among them, the number of work-items, in complete
-        groups, and that of a group.
+        The arguments, the number of work-items, in complete groups, and that of a group.
 
         Raises
         ------
@@ -220,11 +219,10 @@ class Contract:
             factors.append((parts[0], parts[1]))
         return factors
 
-    def bind(self, device: Device,
-             values: Mapping[str, Any]) -> tuple[list[Any], int, int, int]:
+    def bind(self, device: Device, values: Mapping[str, Any]) -> tuple[list[Any], int, int]:
         """As `Kernel.bind`, which has checked the names."""
         sizes: dict[Any, int] = self._fixed.copy()
-        real, arguments, nbytes = device.real, [], 0
+        real, arguments = device.real, []
         for name, dtype, shape in self._checks:  # at every launch, so this must be fast
             value = values[name]
             if shape is None:
@@ -243,8 +241,7 @@ class Contract:
                 raise ShapeError(f"{self}: '{name}' has shape {value.shape}, expected "
                                  f"{shape} where {bound}")
             arguments.append(value.buffer)
-            nbytes += value.nbytes
-        return arguments, nbytes, *self._work(device, sizes)
+        return arguments, *self._work(device, sizes)
 
     def units(self, device: Device, sizes: dict[Any, int]) -> int:
         """The same as `Kernel.units`; adds the sizes of the device to `sizes`."""

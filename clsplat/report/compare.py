@@ -26,7 +26,7 @@ from clsplat.report.scores import (
 
 # of each run: key, title, format
 SCORES = (*COLUMNS[2:], *PERCEPTUAL)
-COSTS = (COLUMNS[1], GAUSSIANS, ("pixel_pairs", "pairs", ".3g"), ("kernel_bytes", "bytes", ".3g"))
+COSTS = COLUMNS[1], GAUSSIANS, ("pixel_pairs", "pairs", ".3g")
 SPREAD = ("train_seconds", "psnr_cc", "ssim_cc", "flip_cc", "lpips_cc")  # shown with deviation
 EQUAL = "psnr_cc_at_equal_seconds"
 NO_CURVE = ("No curve: no run has more than one evaluation. Train with --eval-every STEPS, an "

@@ -29,18 +29,16 @@ Callback = Callable[[dict[str, Any]], object]  # called with a record
 
 
 class Clock:
-    """Measures time and counts the bytes of arrays passed to kernels; it starts at once."""
+    """Measures time; it starts at once."""
 
     def __init__(self, device: Device) -> None:
         self._device, self._started = device, time.perf_counter()
         self._train_seconds = self._wall_seconds = 0.0  # before the last pause; before a resume
-        self._kernel_bytes = 0
         self.restart()
 
     def restart(self) -> None:
         """Exclude the time since the last pause from training."""
         self._since = time.perf_counter() - self._device.build_seconds
-        self._bytes = self._device.kernel_bytes
 
     def add(self, seconds: float) -> None:
         """Count seconds that were spent before the first step as training."""
@@ -50,7 +48,7 @@ class Clock:
     def paused(self) -> Iterator[None]:
         """Exclude the time of the block from training."""
         self._device.finish()
-        self._train_seconds, self._kernel_bytes = self.trained(), self.moved()
+        self._train_seconds = self.trained()
         yield
         self.restart()
 
@@ -59,23 +57,17 @@ class Clock:
         return (self._train_seconds + time.perf_counter() - self._device.build_seconds
                 - self._since)
 
-    def moved(self) -> int:
-        """Bytes of the arrays that training has passed to kernels, summed over launches."""
-        return self._kernel_bytes + self._device.kernel_bytes - self._bytes
-
     def elapsed(self) -> float:
         """Wall seconds since the run began, including those before a resume."""
         return self._wall_seconds + time.perf_counter() - self._started
 
     def state(self) -> dict[str, float]:
         """State for a checkpoint, while paused."""
-        return {"train_seconds": self._train_seconds, "wall_seconds": self.elapsed(),
-                "kernel_bytes": self._kernel_bytes}
+        return {"train_seconds": self._train_seconds, "wall_seconds": self.elapsed()}
 
     def load(self, state: dict[str, float]) -> None:
         """Restore what `state` returned."""
         self._train_seconds, self._wall_seconds = state["train_seconds"], state["wall_seconds"]
-        self._kernel_bytes = int(state["kernel_bytes"])
 
 
 class Recorder:
@@ -102,7 +94,7 @@ class Recorder:
     def log(self, event: str, **values: Any) -> None:
         """Write one record of metrics.jsonl; its first keys are those of every record."""
         record = {"event": event, **self._place(), "pixel_pairs": self.session.step.pixel_pairs,
-                  "kernel_bytes": self.clock.moved(), **values}
+                  **values}
         self.run.log(record)
         if is_upheaval(record):
             self.upheavals[event] = self.session.iteration

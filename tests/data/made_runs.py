@@ -46,8 +46,7 @@ def made_records(schedule, seed=0, until=STEPS):
         count = round(40_000 + (gaussians - 40_000) * (1 - np.exp(-4 * share)))
         return {"event": event, "iteration": step, "train_seconds": round(seconds, 3),
                 "wall_seconds": round(seconds * 1.2, 3), "level": level, "gaussians": count,
-                "pixel_pairs": round(4e9 * seconds), "kernel_bytes": round(1e12 * seconds),
-                **values}
+                "pixel_pairs": round(4e9 * seconds), **values}
 
     step, share = 0, 0.0
     if schedule == "sig":

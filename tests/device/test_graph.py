@@ -95,13 +95,9 @@ def test_inputs_that_are_left_out_stay(own_device):
 def test_counters_of_a_replay(own_device):
     _, graph = sums_of(own_device, True)
     before = own_device.launches, own_device.waits, own_device.allocations
-    moved = own_device.kernel_bytes
     graph.replay()
     assert own_device.launches - before[0] == len(graph._commands)
     assert (own_device.waits, own_device.allocations) == before[1:]
-    again = own_device.kernel_bytes - moved
-    graph.replay()
-    assert own_device.kernel_bytes - moved == 2 * again > 0
 
 
 @pytest.mark.parametrize("wrong", ["shape", "type", "kind"])

@@ -29,7 +29,7 @@ from tests.data.tiny_training import (
 )
 from tests.signals import listen
 
-TIMES = ("train_seconds", "wall_seconds", "memory_bytes", "peak_bytes", "kernel_bytes")
+TIMES = ("train_seconds", "wall_seconds", "memory_bytes", "peak_bytes")
 
 
 def history(run):

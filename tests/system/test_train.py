@@ -23,7 +23,7 @@ from tests.data.tiny_training import (
 )
 
 COMMON = ["event", "iteration", "train_seconds", "wall_seconds", "level", "gaussians",
-          "pixel_pairs", "kernel_bytes"]
+          "pixel_pairs"]
 
 
 def test_it_learns(item_device, city, tmp_path):
@@ -118,7 +118,7 @@ def test_records_carry_what_reports_read(item_device, city, tmp_path):
         assert record["level"] == 1.0
     assert 0 <= every[0]["train_seconds"] < 0.05, "preparing is not training"
     for earlier, later in pairwise(every):
-        for key in ("iteration", "train_seconds", "wall_seconds", "pixel_pairs", "kernel_bytes"):
+        for key in ("iteration", "train_seconds", "wall_seconds", "pixel_pairs"):
             assert earlier[key] <= later[key]
         assert later["train_seconds"] <= later["wall_seconds"]
     own = {event: set(records(run, event)[-1]) - set(COMMON)
