@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -47,14 +47,14 @@ class BlockJob(Job):
 
     def run(self, device: Device, progress: SilentProgress | None = None,
             stopping: Callable[[], bool] = lambda: False) -> str:
-        """Train the block; returns its state, see `BlockTraining.run`.
+        """Train the block; returns its state, see `train_block`.
 
         Another process that trains it is waited for: a worker that the scheduler has lost may
         finish the block.
         """
         self.block.check()
-        return BlockTraining(self.block, device, stopping).run(progress, self.until, self.alone,
-                                                               LOCK_SECONDS)
+        return train_block(self.block, block_options(self.block), device, progress, self.until,
+                           self.alone, LOCK_SECONDS, stopping)
 
 
 def decided_by(coarse: RunFolder) -> dict[str, Any]:
@@ -82,86 +82,71 @@ def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
     return resolve(values, {"init": str(block.initial), **changes})
 
 
-class BlockTraining:
-    """Trains a block from its folder, which contains all that it needs.
+def train_block(block: BlockFolder, options: TrainOptions, device: Device | None = None,
+                progress: SilentProgress | None = None, until: int = 0, alone: bool = False,
+                patience: float = 0.0, stopping: Callable[[], bool] = lambda: False) -> str:
+    """Train a block from its folder, which contains all that it needs: from the start or from the
+    last checkpoint of its run, to the end or to an exchange with blocks that have not come as far.
+
+    Returns "finished", "was finished before", at which exchange it stops, or for which blocks it
+    waits. InputError for a run that was begun with other options.
 
     Parameters
     ----------
-    block : its folder.
+    block, options : its folder, and its `block_options`.
     device : None: it is opened as the options say.
-    stopping : see `Job.run`.
-    changes : of the block's options, by name.
+    until, alone : see `BlockJob`; `stopping` : see `Job.run`.
+    patience : seconds to wait for another process that trains the block.
     """
+    run, exchanges = RunFolder(block.run), [] if alone else block.exchanges
 
-    def __init__(self, block: BlockFolder, device: Device | None = None,
-                 stopping: Callable[[], bool] = lambda: False,
-                 changes: Mapping[str, Any] | None = None) -> None:
-        self.block, self.options = block, block_options(block, **(changes or {}))
-        self.folder, self.device, self._stopping = RunFolder(block.run), device, stopping
-        self._progress: SilentProgress = SilentProgress()
+    def stop(_: dict[str, Any]) -> None:
+        if stopping():
+            raise StopTraining
 
-    def run(self, progress: SilentProgress | None = None, until: int = 0, alone: bool = False,
-            patience: float = 0.0) -> str:
-        """Train to the end, from the start or from the last checkpoint of the run, or to an
-        exchange with blocks that have not come as far; `until`, `alone` : see `BlockJob`;
-        `patience` : seconds to wait for another process that trains the block.
-
-        Returns "finished", "was finished before", at which exchange it stops, or for which blocks
-        it waits. InputError for a run that was begun with other options.
-        """
-        block, run, exchanges = self.block, self.folder, [] if alone else self.block.exchanges
-        with run.locked(patience):
-            if run.is_begun:
-                self._check_same()
-            if run.is_finished:
-                return BEFORE
-            self._progress = progress or SilentProgress()
-            self.device = self.device or choose_device(self.options.device, form=self.options.form)
-            others = other_blocks(block) if exchanges else []
-            scene = BlockScene.read(block)
-            for number, step in enumerate(exchanges, 1):
-                if (taken := run.checkpoint_iteration()) < step:
-                    self._go_on(scene, step)
-                if taken <= step:
-                    write_owned(block, scene, number)
-                place = f"exchange {number} of {len(exchanges)}, after step {step}"
-                if number == until:
-                    return f"stops at {place}"
-                if taken > step:
-                    continue
-                if lacking := lacking_blocks(others, number):
-                    return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}"
-                            f"{' ...' * (len(lacking) > MOST_NAMED)} too, then this block again")
-                exchange(block, scene, others, self.options, number)
-            self._go_on(scene)
-        return "finished"
-
-    def _go_on(self, scene: BlockScene, until: int = 0) -> None:
-        """Train from the run's checkpoint, or the start, until a step, or to the end if that is 0.
-        """
-        run, options = self.folder, self.options
-        stop_at = min(filter(None, (until, options.stop_at)), default=0)
-        changed, parts = replace(options, stop_at=stop_at), scene.parts(options.exposure == "on")
-        assert self.device is not None
-
-        def stop(_: dict[str, Any]) -> None:
-            if self._stopping():
-                raise StopTraining
-
+    def go_on(step: int = 0) -> None:
+        """Train until a step, or to the end if that is 0."""
+        stop_at = min(filter(None, (step, options.stop_at)), default=0)
         start, folder = (resume, run) if run.is_begun else (train, RunFolder.create(run.path))
         try:
-            start(scene.scene, changed, self.device, folder, self._progress, (stop,), parts=parts)
+            start(scene.scene, replace(options, stop_at=stop_at), opened, folder, progress, (stop,),
+                  parts=scene.parts(options.exposure == "on"))
         except Interrupted as stopped:
             if (not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at
-                    or self._stopping()):
+                    or stopping()):
                 raise
 
-    def _check_same(self) -> None:
-        run = self.folder
-        for name, recorded, present in differences(run.read_options(), self.options):
-            if name != MAY_DIFFER:
-                raise InputError(f"{run.path}: was begun with {name} {recorded}, and block.json "
-                                 f"has {present}; put that back, or remove the run")
+    with run.locked(patience):
+        if run.is_begun:
+            _check_same(run, options)
+        if run.is_finished:
+            return BEFORE
+        opened = device or choose_device(options.device, form=options.form)
+        others = other_blocks(block) if exchanges else []
+        scene = BlockScene.read(block)
+        for number, step in enumerate(exchanges, 1):
+            if (taken := run.checkpoint_iteration()) < step:
+                go_on(step)
+            if taken <= step:
+                write_owned(block, scene, number)
+            place = f"exchange {number} of {len(exchanges)}, after step {step}"
+            if number == until:
+                return f"stops at {place}"
+            if taken > step:
+                continue
+            if lacking := lacking_blocks(others, number):
+                return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}"
+                        f"{' ...' * (len(lacking) > MOST_NAMED)} too, then this block again")
+            exchange(block, scene, others, options, number)
+        go_on()
+    return "finished"
+
+
+def _check_same(run: RunFolder, options: TrainOptions) -> None:
+    for name, recorded, present in differences(run.read_options(), options):
+        if name != MAY_DIFFER:
+            raise InputError(f"{run.path}: was begun with {name} {recorded}, and block.json has "
+                             f"{present}; put that back, or remove the run")
 
 
 def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Shown | None = None,

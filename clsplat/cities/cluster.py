@@ -1,4 +1,4 @@
-"""A pool of the workers of a Dask cluster: the only module that imports dask.
+"""The workers of a Dask cluster: the only module that imports dask.
 
     dask scheduler
     CLSPLAT_DEVICE=0 dask worker tcp://10.0.0.1:8786 --nthreads 1 --memory-limit 0 \\
@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 
 class Cluster:
-    """A Pool of the workers of the Dask scheduler at `address`.
+    """Runs jobs on the workers of the Dask scheduler at `address`.
 
     Dask starts each job on a worker with a free device, and starts it again elsewhere when the
     worker dies.

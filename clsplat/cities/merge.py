@@ -17,7 +17,6 @@ import os
 import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
-from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -152,8 +151,8 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False,
     shares, coarse = [], None
     blocks = ((city.block(number), number, partition, scene)
               for number in range(len(partition.regions)))
-    found = starmap(_block, blocks) if keep else called_ahead(
-        _block, blocks, READ_TOGETHER, READ_TOGETHER)
+    together = 1 if keep else READ_TOGETHER
+    found = called_ahead(_block, blocks, together, together)
     keep = keep or pieces.append
     for number, views in enumerate(partition.views):
         state, trained, piece, note = next(found)

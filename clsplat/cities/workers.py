@@ -17,8 +17,9 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from clsplat.cities.cluster import Cluster
 from clsplat.cities.jobs import HERE, Job, Lost, Unfit, device_here, line_of
@@ -64,23 +65,7 @@ class Outcome:
         return self.error is None
 
 
-class Pool(Protocol):
-    """Where jobs run."""
-
-    def slots(self) -> int:
-        """How many jobs may run at the same time."""
-
-    def submit(self, job: Job) -> Any:
-        """Start a job, and return its future; called while a slot is free."""
-
-    def result(self, future: Any) -> tuple[Any, str]:
-        """What the job of a future returned, and its worker; raises what it raised, or Lost."""
-
-    def close(self) -> None:
-        """Let running jobs save their state, and end."""
-
-
-class Workers:
+class Workers(AbstractContextManager["Workers"]):
     """Where the jobs of a command run; a context, at whose end its processes end.
 
     Parameters
@@ -96,15 +81,12 @@ class Workers:
             raise InputError(f"--workers {number}: expects 1 to {MOST_WORKERS}, as many as this "
                              "machine has free devices or cores")
         self.number, self.scheduler, self.devices = number, scheduler, tuple(devices)
-        self._pool: Pool | None = None
+        self._pool: Cluster | _Processes | None = None
 
     @property
     def several(self) -> bool:
         """Whether jobs run in other processes."""
         return self.number > 1 or bool(self.scheduler)
-
-    def __enter__(self) -> Workers:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
@@ -155,7 +137,9 @@ class Workers:
                 for future in done:
                     job = running.pop(future)
                     value, error, worker = _settled(pool, future)
-                    if error and tries[job.name] < MOST_TRIES and _may_be_tried_again(error):
+                    final = isinstance(error, ClsplatError) and not isinstance(
+                        error, (Unfit, Interrupted, LockTaken))
+                    if error and not final and tries[job.name] < MOST_TRIES:
                         waiting.append(job)
                         continue
                     outcomes[job.name] = Outcome(job, value, error, time.monotonic()
@@ -171,7 +155,7 @@ class Workers:
         return [outcomes.get(job.name) or Outcome(job, error=InputError(
             f"it waits for {awaited(job)}")) for job in jobs]
 
-    def _opened(self, here: Callable[[Any], Any]) -> Pool:
+    def _opened(self, here: Callable[[Any], Any]) -> _Pool:
         if self.several and not self._pool:
             self._pool = (Cluster(self.scheduler) if self.scheduler else
                           _Processes(self.number, self.devices))
@@ -184,7 +168,7 @@ class Workers:
             self._pool = None
 
 
-def _settled(pool: Pool, future: Any) -> tuple[Any, Exception | None, str]:
+def _settled(pool: _Pool, future: Any) -> tuple[Any, Exception | None, str]:
     """What a job returned, or the error that it raised, and its worker."""
     try:
         value, worker = pool.result(future)
@@ -193,13 +177,8 @@ def _settled(pool: Pool, future: Any) -> tuple[Any, Exception | None, str]:
         return None, error, HERE
 
 
-def _may_be_tried_again(error: Exception) -> bool:
-    return (isinstance(error, (Unfit, Interrupted, LockTaken))
-            or not isinstance(error, ClsplatError))
-
-
 class _InProcess:
-    """A Pool that runs one job at a time, in the thread that receives Ctrl-C."""
+    """Runs one job at a time, in the thread that receives Ctrl-C."""
 
     def __init__(self, call: Callable[[Any], Any]) -> None:
         self._call = call
@@ -239,7 +218,7 @@ class _Process:
 
 
 class _Processes:
-    """A Pool of processes of this machine; `number`, `devices` as for `Workers`."""
+    """Processes of this machine; `number`, `devices` as for `Workers`."""
 
     def __init__(self, number: int, devices: Sequence[str] = ()) -> None:
         self._context = multiprocessing.get_context("spawn")
@@ -317,3 +296,8 @@ def _work(job: Job) -> Any:
         traceback.print_exc()
         raise RuntimeError(f"{type(error).__name__}: {line_of(error)} (see {job.folder / LOG})"
                            ) from None
+
+
+# `slots` jobs may run at a time; `submit` returns the future of one, and `result` what that job
+# returned, and its worker, or raises what it raised, or Lost; `close` lets jobs save their state
+_Pool = _InProcess | _Processes | Cluster

@@ -16,8 +16,10 @@ from clsplat.cli.flags import (
     SectionedOption,
     TrainingCommand,
     config_options,
+    device_flag,
     flags_of,
     given_options,
+    moved_scene_flag,
     training_flags,
 )
 from clsplat.cli.train import ending
@@ -82,8 +84,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int |
 @click.command("partition", cls=SectionedCommand)
 @click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
 @flags_of(PartitionOptions)
-@click.option("--scene", type=click.Path(path_type=Path), **BLOCKS, help="Where the scene is now, "
-              "if it was moved.")
+@moved_scene_flag
 @click.pass_context
 def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, **_options: object
                       ) -> None:
@@ -120,16 +121,16 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
     Where blocks exchange gaussians (--exchanges of `clsplat partition`), it ends at an exchange for
     which another block has not come far enough; the same command then goes on.
     """
-    from clsplat.cities.block import BlockTraining
+    from clsplat.cities.block import block_options, train_block
     from clsplat.cli.progress import Progress
     from clsplat.io.runs.city import BlockFolder
     city_block = BlockFolder(folder)
     city_block.check()
     changes = {key: value for key, value in (("device", device), ("stop_at", stop_at)) if value}
     try:
-        training = BlockTraining(city_block, changes=changes)
-        with nullcontext() if quiet else Progress(training.options.stop_at) as progress:
-            state = training.run(progress, alone=alone, patience=wait)
+        options = block_options(city_block, **changes)
+        with nullcontext() if quiet else Progress(options.stop_at) as progress:
+            state = train_block(city_block, options, None, progress, alone=alone, patience=wait)
     except Interrupted:
         raise Interrupted(f"{folder}: stopped, its state is saved; the same command continues"
                           ) from None
@@ -144,10 +145,8 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
 @click.option("--against", type=click.Path(path_type=Path), help="A run of the whole scene, or its "
               "PLY, as the reference for seams, in place of the coarse model.")
 @click.option("--tree", is_flag=True, help=TREE_HELP)
-@click.option("--device", default="auto", show_default=True,
-              help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
-@click.option("--scene", type=click.Path(path_type=Path), help="Where the scene is now, if it was "
-              "moved.")
+@device_flag
+@moved_scene_flag
 @click.pass_context
 def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tree: bool,
           device: str, scene: Path | None) -> None:

@@ -142,13 +142,6 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # generic only since cl
         shown = (*self.option.metadata["words"], *(self.choices or (self.name,)))
         return f"[{'|'.join(shown)}]" if len(shown) > 1 else self.name
 
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str
-                       ) -> list[click.shell_completion.CompletionItem]:
-        """The words and choices that begin with a text."""
-        return [click.shell_completion.CompletionItem(word)
-                for word in (*self.option.metadata["words"], *self.choices)
-                if word.startswith(incomplete)]
-
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Parse a value, which is checked later."""
         if not isinstance(value, str):

@@ -208,11 +208,11 @@ def test_other_options_are_refused(copy, capsys, flags, cause):
 
 @pytest.mark.slow
 def test_a_block_that_does_not_fit_its_device_is_named(copy, monkeypatch, capsys):
-    def run(*_):
+    def train_block(*_):
         raise OutOfDeviceMemory("a small device: no memory for 1 MiB more")
 
     shutil.rmtree(copy.block(1).run)
-    monkeypatch.setattr(block_module.BlockTraining, "run", run)
+    monkeypatch.setattr(block_module, "train_block", train_block)
     city(copy.path, code=2)
     error = capsys.readouterr().err
     assert "block 001 failed on this machine: a small device: no memory for 1 MiB more; " in error

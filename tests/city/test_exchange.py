@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from clsplat.cities import block as training_block
 from clsplat.cities import exchange as exchange_module
-from clsplat.cities.block import BlockTraining, block_options
+from clsplat.cities.block import block_options, train_block
 from clsplat.cities.exchange import (
     exchange,
     exchange_steps,
@@ -40,6 +40,10 @@ OPTIONS = {"iterations": 130, "downscale": 8.0, "test_every": 0, "schedule": "co
 AT = 100  # the exchange
 
 
+def trained(block, **given):
+    return train_block(block, block_options(block), **given)
+
+
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory, item_device):
     """A city of two blocks, both at their exchange: the first waits for the second."""
@@ -61,11 +65,11 @@ def stopped(tmp_path_factory, item_device):
             **city.identity(), OTHERS: [1 - number], EXCHANGES: [AT]})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_block, "choose_device", lambda *_, **__: item_device)
-        said = BlockTraining(city.block(0)).run()
+        said = trained(city.block(0))
         assert said.startswith("waits at exchange 1 of 1, after step 100: train 001 too")
         patch.setattr(training_block, "exchange", lambda *_: pytest.exit("not yet"))
         patch.setattr(training_block, "lacking_blocks", lambda *_: ["000"])
-        BlockTraining(city.block(1)).run()
+        trained(city.block(1))
     return city
 
 
@@ -111,7 +115,7 @@ def test_a_block_goes_on_from_what_others_own(city):
 def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
     block, copy = city.block(0), CityFolder(city.path.with_name("copy"))
     shutil.copytree(city.path, copy.path, symlinks=True)
-    assert BlockTraining(block).run() == "finished"
+    assert trained(block) == "finished"
     killed = copy.block(0)
 
     def dies(*_, **__):
@@ -124,10 +128,10 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, dies)
             with pytest.raises(SystemExit):
-                BlockTraining(killed).run()
-    assert BlockTraining(killed).run() == "finished"
+                trained(killed)
+    assert trained(killed) == "finished"
     assert model_digest(RunFolder(killed.run)) == model_digest(RunFolder(block.run))
-    assert BlockTraining(killed).run() == "was finished before"
+    assert trained(killed) == "was finished before"
 
 
 @pytest.mark.slow
@@ -136,11 +140,11 @@ def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
     run, part = RunFolder(block.run), block.exchanged(1)
     content = part.read_bytes()
     part.unlink()
-    said = BlockTraining(block).run(until=1)
+    said = trained(block, until=1)
     assert said == f"stops at exchange 1 of 1, after step {AT}"
     assert run.checkpoint_iteration() == AT and not run.has_model
     assert part.read_bytes() == content  # written again from the checkpoint
-    assert BlockTraining(block).run() == "finished"
+    assert trained(block) == "finished"
 
 
 @pytest.mark.slow

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from clsplat.cities import block as block_module
 from clsplat.cities import city as cities
-from clsplat.cities.block import BlockTraining
 from clsplat.cli.campaign import run_campaign
 from clsplat.cli.train import resumed_options
 from clsplat.config.option import differences, plain
@@ -55,8 +55,8 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
     place.symlink_to(run.path)
     monkeypatch.setattr(compare, "write_comparison", lambda *_: ("", place))
     assert refuses(run_campaign, lambda *_: None, [other], tmp_path) == differs
-    block = SimpleNamespace(folder=run, options=other)  # whose `init` moves
-    assert refuses(BlockTraining._check_same, block) == (differs and name != "init")
+    # a block's `init` moves
+    assert refuses(block_module._check_same, run, other) == (differs and name != "init")
     city = SimpleNamespace(
         has_record=True, path=tmp_path, coarse=run.path, make=lambda: None, write=lambda _: None,
         read=lambda options: {"fingerprint": "f", "options": record})
