@@ -19,7 +19,7 @@ from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.write import DEPTH
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.training.interrupt import was_interrupted
-from clsplat.training.loop import resume, train
+from clsplat.training.loop import train_or_resume
 from clsplat.training.progress import SilentProgress
 
 # options that the coarse run decides, so that all blocks agree on colours and SH degree
@@ -107,10 +107,9 @@ def train_block(block: BlockFolder, options: TrainOptions, device: Device | None
     def go_on(step: int = 0) -> None:
         """Train until a step, or to the end if that is 0."""
         stop_at = min(filter(None, (step, options.stop_at)), default=0)
-        start, folder = (resume, run) if run.is_begun else (train, RunFolder.create(run.path))
         try:
-            start(scene.scene, replace(options, stop_at=stop_at), opened, folder, progress, (stop,),
-                  parts=scene.parts(options.exposure == "on"))
+            train_or_resume(scene.scene, replace(options, stop_at=stop_at), opened, run, progress,
+                            (stop,), scene.parts(options.exposure == "on"))
         except Interrupted as stopped:
             if (not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at
                     or stopping()):

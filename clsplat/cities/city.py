@@ -30,7 +30,7 @@ from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.scene import Scene, View
 from clsplat.schedule.plan import SceneFacts
 from clsplat.schedule.steps import worthwhile_steps
-from clsplat.training.loop import resume, train
+from clsplat.training.loop import train_or_resume
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
 from clsplat.training.start.initialise import first_gaussians
@@ -148,12 +148,9 @@ def train_coarse(city: City, progress: SilentProgress | None = None, joint: bool
     coarse = coarse_options(city, joint)
     with folder.locked():
         if folder.is_begun:  # as it was begun: on another device there may be no joint training
-            steps = Run.open(folder.path).options.iterations
-            resume(city.pinhole, dataclasses.replace(coarse, iterations=steps), city.device,
-                   folder, progress)
-        else:
-            folder = RunFolder.create(folder.path)
-            train(city.pinhole, coarse, city.device, folder, progress)
+            coarse = dataclasses.replace(
+                coarse, iterations=Run.open(folder.path).options.iterations)
+        train_or_resume(city.pinhole, coarse, city.device, folder, progress)
     return folder
 
 

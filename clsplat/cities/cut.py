@@ -64,8 +64,7 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
             drop = DropTest(city.device, gaussians,
                             scene.reduced(small.downscale, small.max_resolution))
         # citygs was no better for it, and vastgs counts cameras
-        weights = (counted_where(gaussians, dense) if partition_options.method == "blockgs"
-                   else None)
+        weights = counted_where(gaussians, dense) if partition_options.method == "blockgs" else 1.0
         partition = make_partition(scene, partition_options, gaussians, views, drop, weights)
         record = {**partition.record(), REQUESTED: plain(partition_options)}
         if steps_together := partition_options.joint_steps * one_run:

@@ -44,7 +44,7 @@ from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.partition.region import Partition, world_of
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
-from clsplat.training.loop import resume, train, trained_on
+from clsplat.training.loop import train_or_resume, trained_on
 from clsplat.training.part import Part
 from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.progress import SilentProgress
@@ -219,9 +219,6 @@ def reference_file(against: Path | None, tree: bool) -> Path | None:
         raise InputError("--against: has no effect with --tree, which measures no seams; leave one "
                          "of them out")
     path = RunFolder(against).model_path if against.is_dir() else against
-    if not path.is_file():
-        raise InputError(f"--against {against}: {path} is missing; give a finished run, or a PLY "
-                         "file")
     read_ply(path)
     return path
 
@@ -344,9 +341,8 @@ def train_jointly(city: City, merged: Merged, progress: SilentProgress | None = 
         if together.exposure == "on":
             parts.append(PhotoResponses(read_exposures(folder.coarse)))
         with run.locked():
-            start = resume if run.is_begun else train
-            start(dataclasses.replace(city.pinhole, notes=()), together, city.device,
-                  run if run.is_begun else RunFolder.create(folder.joint), progress, parts=parts)
+            train_or_resume(dataclasses.replace(city.pinhole, notes=()), together, city.device, run,
+                            progress, parts=parts)
     gaussians = run.load_model(scene.offset)
     owner = folder.partition(scene).owner(world_of(scene, gaussians.positions))
     order = np.argsort(owner, kind="stable")

@@ -65,35 +65,27 @@ class _Input:
     ----------
     scene, views : the whole scene, and [V]: indices into scene.views of the training views.
     cameras : [V, 3]; the positions of these views.
-    content, weights : [M, 3]; the points or gaussians that are divided among the blocks, and how
-        much each counts, [M]; of sparse points the number of views that see it.
+    content, weights : [M, 3]; the gaussians that are divided among the blocks, and how much each
+        counts, [M].
     points : [P, 3]; the sparse points.
     observed_points, observed_views : [S]; the pairs (point, index into `views`) in which a view
         sees a point.
     rotation : [3, 3]; rows u, v (along the ground) and up.
     """
 
-    def __init__(self, scene: Scene, gaussians: Gaussians | None, views: ArrayLike | None,
-                 weights: NDArray[np.float64] | None) -> None:
-        self.scene = scene
-        self.views = np.arange(len(scene.views)) if views is None else np.asarray(views)
-        chosen = [scene.views[index] for index in self.views]
+    def __init__(self, scene: Scene, gaussians: Gaussians, views: NDArray[np.integer],
+                 weights: ArrayLike) -> None:
+        self.scene, self.views = scene, views
+        chosen = [scene.views[index] for index in views]
         local, self.observed_points, self.observed_views = visibility(scene, chosen)
         self.points = world_of(scene, local)
         self.cameras = world_of(scene, [view.camera.position for view in chosen])
-        if gaussians is None:
-            self.content = self.points
-            self.weights = np.bincount(self.observed_points, minlength=len(self.points)).astype(
-                float)
-        else:
-            self.content = world_of(scene, gaussians.positions)
-            self.weights = np.isfinite(self.content).all(axis=1).astype(float)
-            if weights is not None:
-                self.weights *= weights
+        self.content = world_of(scene, gaussians.positions)
+        self.weights: NDArray[np.float64] = np.where(
+            np.isfinite(self.content).all(axis=1), weights, 0.0)
         if not self.weights.any():
-            raise InputError(f"{scene.name}: there is nothing to divide among blocks, since no "
-                             "training view sees a point; reconstruct the scene again, or train a "
-                             "coarse model first")
+            raise InputError(f"{scene.name}: there is nothing to divide among blocks, since the "
+                             "coarse model has no gaussians; train it again")
         self.rotation = ground_axes(scene.up, self.content, self.weights)
 
     def content_box(self, shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,)
@@ -122,22 +114,18 @@ class _Input:
         return Space(self.rotation, (low + high) / 2 @ self.rotation, half, contracted)
 
 
-def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians | None = None,
-                   views: ArrayLike | None = None, drop: DropTest | None = None,
-                   weights: NDArray[np.float64] | None = None) -> Partition:
-    """Cut a scene into blocks, and assign views to them.
+def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians,
+                   views: NDArray[np.integer], drop: DropTest | None = None,
+                   weights: ArrayLike = 1.0) -> Partition:
+    """Cut a scene into blocks, and assign views to them; InputError if there are no gaussians.
 
     Parameters
     ----------
     scene, options : the whole scene; the method and its numbers.
-    gaussians : a coarse model in the scene's local frame. None: the sparse points are used.
-    views : indices into scene.views of the training views. None: all.
+    gaussians : a coarse model in the scene's local frame.
+    views : indices into scene.views of the training views.
     drop : see `_citygs`.
-    weights : [N], how much each gaussian counts. None: all the same.
-
-    Raises
-    ------
-    InputError : no view sees any point.
+    weights : [N], how much each gaussian counts, or of all.
     """
     data = _Input(scene, gaussians, views, weights)
     low, high = data.content_box()

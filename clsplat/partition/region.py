@@ -53,11 +53,6 @@ class Space:
             raise ValueError("a space needs an orthonormal rotation, a finite origin and three "
                              "positive half sides")
 
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """The lowest and highest coordinate at which an unbounded cell is cut to get its side."""
-        return (0.0, 1.0) if self.contracted else (-1.0, 1.0)
-
     def to(self, points: ArrayLike) -> NDArray[np.float64]:
         """Coordinates [N, 3] of world points [N, 3]; nan where a point is not finite."""
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
@@ -181,8 +176,9 @@ class Region:
 
     @property
     def side(self) -> NDArray[np.float64]:
-        """Sides [3] of the cell in its space; unbounded ones are cut at the space's bounds."""
-        low, high = self.space.bounds
+        """Sides [3] of the cell in its space; unbounded ones are cut where the area of interest
+        ends, or contracted space."""
+        low, high = (0.0, 1.0) if self.space.contracted else (-1.0, 1.0)
         side: NDArray[np.float64] = np.maximum(np.where(np.isinf(self.high), high, self.high)
                                                - np.where(np.isinf(self.low), low, self.low), 0)
         return side

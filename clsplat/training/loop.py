@@ -106,6 +106,14 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         training.run_to_end()
 
 
+def train_or_resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
+                    progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
+                    parts: Iterable[Part] = ()) -> None:
+    """Resume a run if it was begun, else train it in a new folder; arguments as for `train`."""
+    start, folder = (resume, run) if run.is_begun else (train, RunFolder.create(run.path))
+    start(scene, options, device, folder, progress, callbacks, parts=parts)
+
+
 class Training:
     """Runs a session to its end; arguments as for `train`, with the gaussians and the level of a
     resumed run. `recorded` is whether the run folder contains this run."""

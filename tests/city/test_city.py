@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from clsplat.cities import block as block_module
-from clsplat.cities import city as cities
 from clsplat.cities import cut
 from clsplat.cities.city import City
 from clsplat.cities.run import chosen_partition
@@ -20,6 +19,7 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.rendering.tree import MOST_SIGMA_PIXELS
+from clsplat.training import loop
 from tests.data.tiny_training import CITY
 from tests.schedule.driven_sig import FACTS
 
@@ -159,7 +159,7 @@ def test_a_tree_is_drawn_as_the_model_it_replaces(copy, tmp_path, capsys, monkey
 def test_again_changes_nothing(copy, monkeypatch):
     before = model(copy)
     times = {path: path.stat().st_mtime_ns for path in copy.path.glob("blocks/*/run/*")}
-    monkeypatch.setattr(cities, "train", None)  # nothing is begun
+    monkeypatch.setattr(loop, "train", None)  # nothing is begun
     city(copy.path)
     assert model(copy) == before
     assert times == {path: path.stat().st_mtime_ns for path in copy.path.glob("blocks/*/run/*")}

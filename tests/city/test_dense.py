@@ -80,7 +80,7 @@ def test_blocks_begin_with_them(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(cut, "make_partition", lambda *rest: (
         weights.append(rest[-1]), make_partition(*rest))[1])
     made = city(tmp_path / "dense", "--init", "dense")
-    assert weights == [None]
+    assert weights == [1.0]
     found = read_ply(made.dense).count
     added = [block.read("dense")["dense"] for block in made.blocks()]
     assert min(added) > 100 and max(added) < found

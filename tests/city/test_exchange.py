@@ -122,9 +122,8 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
         raise SystemExit(9)
 
     # in the exchange, after it, and where the training ends that follows it
-    for owner, name in ((exchange_module, "trainable"), (training_block, "resume"),
-                        (training_block, "resume"), (Checkpoint, "check_model"),
-                        (RunFolder, "save_model")):
+    for owner, name in ((exchange_module, "trainable"), (training_block, "train_or_resume"),
+                        (Checkpoint, "check_model"), (RunFolder, "save_model")):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, dies)
             with pytest.raises(SystemExit):

@@ -1,11 +1,13 @@
 """A made-up survey: points sampled over a rectangle, cameras above it, and the same scene moved."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from clsplat.camera import Camera
+from clsplat.covisibility.source_views import visibility
 from clsplat.partition.make import make_partition
 from clsplat.partition.options import PartitionOptions
 from clsplat.scene import Scene, View
@@ -72,8 +74,13 @@ def world(scene):
 
 
 def cut(scene, method, grid=(3, 2), **changes):
-    """The Partition of a scene by a method; changes: of the options or of `make_partition`."""
-    arguments = {key: changes.pop(key) for key in ("gaussians", "views", "drop", "weights")
-                 if key in changes}
-    return make_partition(
-        scene, PartitionOptions(method=method, grid=grid, **{**LAX, **changes}), **arguments)
+    """The Partition of a scene by a method; changes: of the options or of `make_partition`. Without
+    gaussians in them, the points are divided, each by how many views see it."""
+    views = changes.pop("views", np.arange(len(scene.views)))
+    given = {key: changes.pop(key) for key in ("gaussians", "drop", "weights") if key in changes}
+    if "gaussians" not in given:
+        _, seen, _ = visibility(scene, [scene.views[index] for index in views])
+        given = {**given, "gaussians": SimpleNamespace(positions=scene.points),
+                 "weights": np.bincount(seen, minlength=len(scene.points))}
+    return make_partition(scene, PartitionOptions(method=method, grid=grid, **{**LAX, **changes}),
+                          views=views, **given)

@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from clsplat.errors import InputError
-from clsplat.partition.make import make_partition
 from clsplat.partition.options import METHODS, PartitionOptions
 from clsplat.partition.region import DAMAGED, Partition
 from tests.data.fields import cut, field, moved, world
@@ -99,14 +98,14 @@ def test_a_starved_block_is_joined_to_a_neighbour(method):
     ({"grid": (0, 2)}, "--grid 0x2")])
 def test_bad_input_is_one_line(changes, cause):
     with pytest.raises(InputError, match=f"^{cause}") as error:
-        make_partition(field(), PartitionOptions(**{"grid": (2, 2), **changes}))
+        PartitionOptions(**{"grid": (2, 2), **changes})
     assert "\n" not in str(error.value)
 
 
 def test_a_scene_in_which_nothing_is_seen_is_refused():
     scene = replace(field(), observations=np.zeros((0, 2), np.int32))
     with pytest.raises(InputError, match="nothing to divide among blocks"):
-        make_partition(scene, PartitionOptions())
+        cut(scene, "blockgs")
 
 
 def test_the_chosen_grid_counts_margins():

@@ -69,7 +69,7 @@ def test_a_cell_reaches_all_points_within_its_margin():
     for seed in range(20):
         where = space(contracted=seed % 2 == 1, seed=seed)
         rng = np.random.default_rng(seed)
-        low = where.bounds[0] + rng.uniform(0, 0.4, 3) * (where.bounds[1] - where.bounds[0])
+        low = Region(where).side * rng.uniform(0, 0.4, 3) - (0 if where.contracted else 1)
         cell = Region(where, low, low + 0.3, 0.2)
         points = where.origin + rng.normal(0, 10, (2000, 3))
         coordinates = where.to(points)
