@@ -53,8 +53,8 @@ class BlockJob(Job):
         finish the block.
         """
         self.block.check()
-        return train_block(self.block, block_options(self.block), device, progress, self.until,
-                           self.alone, LOCK_SECONDS, stopping)
+        return train_block(self.block, device, progress, self.until, self.alone, LOCK_SECONDS,
+                           stopping)
 
 
 def decided_by(coarse: RunFolder) -> dict[str, Any]:
@@ -82,9 +82,10 @@ def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
     return resolve(values, {"init": str(block.initial), **changes})
 
 
-def train_block(block: BlockFolder, options: TrainOptions, device: Device | None = None,
+def train_block(block: BlockFolder, device: Device | None = None,
                 progress: SilentProgress | None = None, until: int = 0, alone: bool = False,
-                patience: float = 0.0, stopping: Callable[[], bool] = lambda: False) -> str:
+                patience: float = 0.0, stopping: Callable[[], bool] = lambda: False,
+                **changes: Any) -> str:
     """Train a block from its folder, which contains all that it needs: from the start or from the
     last checkpoint of its run, to the end or to an exchange with blocks that have not come as far.
 
@@ -93,11 +94,12 @@ def train_block(block: BlockFolder, options: TrainOptions, device: Device | None
 
     Parameters
     ----------
-    block, options : its folder, and its `block_options`.
     device : None: it is opened as the options say.
     until, alone : see `BlockJob`; `stopping` : see `Job.run`.
     patience : seconds to wait for another process that trains the block.
+    changes : see `block_options`.
     """
+    options = block_options(block, **changes)
     run, exchanges = RunFolder(block.run), [] if alone else block.exchanges
 
     def stop(_: dict[str, Any]) -> None:
@@ -116,8 +118,11 @@ def train_block(block: BlockFolder, options: TrainOptions, device: Device | None
                 raise
 
     with run.locked(patience):
-        if run.is_begun:
-            _check_same(run, options)
+        for name, recorded, present in (differences(run.read_options(), options)
+                                        if run.is_begun else ()):
+            if name != MAY_DIFFER:
+                raise InputError(f"{run.path}: was begun with {name} {recorded}, and block.json "
+                                 f"has {present}; put that back, or remove the run")
         if run.is_finished:
             return BEFORE
         opened = device or choose_device(options.device, form=options.form)
@@ -139,13 +144,6 @@ def train_block(block: BlockFolder, options: TrainOptions, device: Device | None
             exchange(block, scene, others, options, number)
         go_on()
     return "finished"
-
-
-def _check_same(run: RunFolder, options: TrainOptions) -> None:
-    for name, recorded, present in differences(run.read_options(), options):
-        if name != MAY_DIFFER:
-            raise InputError(f"{run.path}: was begun with {name} {recorded}, and block.json has "
-                             f"{present}; put that back, or remove the run")
 
 
 def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Shown | None = None,
@@ -223,13 +221,11 @@ def _name(block: BlockFolder, stage: int, stages: int) -> str:
 
 
 def _by_block(outcomes: Iterable[Outcome]) -> dict[str, Outcome]:
-    """{name of a block: the outcome that failed, or else that of its last job that was tried}."""
+    """{name of a block: the outcome of its first job that was tried and failed, or else of its
+    first one}."""
     found: dict[str, Outcome] = {}
-    for outcome in outcomes:
-        name = outcome.job.block.path.name
-        before = found.get(name)
-        if before is None or before.ok and (outcome.ok or outcome.tries):
-            found[name] = outcome
+    for outcome in sorted(outcomes, key=lambda outcome: outcome.ok or not outcome.tries):
+        found.setdefault(outcome.job.block.path.name, outcome)
     return found
 
 

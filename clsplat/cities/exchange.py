@@ -26,7 +26,7 @@ from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.records import object_of
 from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
-from clsplat.options import TrainOptions
+from clsplat.options import SceneOptions
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import Arrays, gaussians_of
@@ -91,7 +91,7 @@ def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
 
 
 def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder],
-             options: TrainOptions, number: int) -> None:
+             options: SceneOptions, number: int) -> None:
     """Replace a block's margin and surroundings, in the checkpoint of its run, by what other blocks
     own. Gaussians of the margin bring the moments of their owner.
 
@@ -100,14 +100,15 @@ def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder]
     block, read, others : its folder, the block as it was read, and its `other_blocks`.
     options, number : of its training; of the exchange, from 1.
     """
-    run, degree, whole = RunFolder(block.run), options.sh_degree, block.read()[CITY]
+    run, record = RunFolder(block.run), block.read()
+    degree = record["options"]["sh_degree"]
     arrays, state = run.load_checkpoint(lambda name: not _is_by_gaussian(name))
     scene = read.scene.reduced(options.downscale, options.max_resolution).normalised()
     region = read.region
 
     def taken_from(other: BlockFolder) -> Arrays:
         """What the block holds of another one."""
-        owned = _in_frame_of(scene, *_owned(other, number, whole, degree))
+        owned = _in_frame_of(scene, *_owned(other, number, record))
         start = block_start(gaussians_of(owned, degree), scene, region, scene.views)
         taken = {name: values[start.indices] for name, values in owned.items()}
         # which may be thinned
@@ -115,7 +116,7 @@ def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder]
 
     with ThreadPoolExecutor(READ_TOGETHER) as threads:
         found = list(threads.map(taken_from, others))
-    owned, _ = _owned(block, number, whole, degree)
+    owned, _ = _owned(block, number, record)
     new = {name: np.concatenate([values, *(taken.pop(name) for taken in found)])
            for name, values in owned.items()}
     trains = trainable(scene, region, new["row.positions"], new[SCALES])
@@ -124,21 +125,22 @@ def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder]
         "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state)
 
 
-def _owned(block: BlockFolder, number: int, city: str, sh_degree: int
+def _owned(block: BlockFolder, number: int, record: dict[str, Any]
            ) -> tuple[Arrays, dict[str, Any]]:
     """What a block owned at an exchange, as arrays of a checkpoint, and the unit and the offset of
-    its frame; InputError for a file that is damaged, or of another block or `city`."""
+    its frame; InputError for a file that is damaged, or of another city or block. `record` : of the
+    block that reads it."""
     path = block.exchanged(number)
     cure = f"remove {path.parent}, and train that block again"
     arrays = read_npz(path, DAMAGED, cure)
     try:
         frame = object_of(arrays.pop(STATE).tobytes())
-        gaussians_of(arrays, sh_degree)
+        gaussians_of(arrays, record["options"]["sh_degree"])
         if not (frame["unit"] > 0 and np.shape(frame["offset"]) == (3,)):
             raise ValueError("its frame")
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: {DAMAGED} ({error}); {cure}") from None
-    if (frame.get(CITY), frame.get(START)) != (city, block.start()):
+    if (frame.get(CITY), frame.get(START)) != (record[CITY], block.start()):
         raise InputError(f"{path}: of another city, block or partition than {block.path}; {cure}")
     return arrays, frame
 

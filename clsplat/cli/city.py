@@ -126,11 +126,12 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
     from clsplat.io.runs.city import BlockFolder
     city_block = BlockFolder(folder)
     city_block.check()
-    changes = {key: value for key, value in (("device", device), ("stop_at", stop_at)) if value}
+    given: dict[str, Any] = {"device": device, "stop_at": stop_at}
+    changes = {name: value for name, value in given.items() if value}
     try:
-        options = block_options(city_block, **changes)
-        with nullcontext() if quiet else Progress(options.stop_at) as progress:
-            state = train_block(city_block, options, None, progress, alone=alone, patience=wait)
+        last = block_options(city_block, **changes).stop_at
+        with nullcontext() if quiet else Progress(last) as progress:
+            state = train_block(city_block, None, progress, alone=alone, patience=wait, **changes)
     except Interrupted:
         raise Interrupted(f"{folder}: stopped, its state is saved; the same command continues"
                           ) from None

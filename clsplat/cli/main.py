@@ -70,17 +70,12 @@ class Reporting(click.Group):
         it. The arguments are those of click; `standalone_mode` is ignored.
         """
         arguments = list(sys.argv[1:] if args is None else args)
-        sys.exit(self._run(arguments, prog_name, complete_var, extra))
-
-    def _run(self, arguments: list[str], prog_name: str | None, complete_var: str | None,
-             extra: dict[str, Any]) -> int | str | None:
-        """Run a command; the exit code."""
         with handled_interrupts() as interrupts:
             try:
-                code = super().main(arguments, prog_name, complete_var, standalone_mode=False,
-                                    **extra)
+                result = super().main(arguments, prog_name, complete_var, standalone_mode=False,
+                                      **extra)
                 sys.stdout.flush()
-                return code if isinstance(code, int) else 0
+                code = result if isinstance(result, int) else 0
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (the outermost place)
                 interrupts.deferred = math.inf  # what is left is to print how it ended
                 message, code = verdict(error, next(iter(interrupts.received), 0))
@@ -88,9 +83,11 @@ class Reporting(click.Group):
                     say("".join(traceback.format_exception(error)).rstrip())
                 if message:
                     say(message)
-                return code
             except SystemExit as end:  # click exits with 1 for a pipe that its reader closed
-                return 128 + SIGPIPE if end.code == 1 else end.code
+                if end.code != 1:
+                    raise
+                code = 128 + SIGPIPE
+        sys.exit(code)
 
 
 def verdict(error: BaseException, signalled: int = 0) -> tuple[str, int]:

@@ -40,10 +40,6 @@ OPTIONS = {"iterations": 130, "downscale": 8.0, "test_every": 0, "schedule": "co
 AT = 100  # the exchange
 
 
-def trained(block, **given):
-    return train_block(block, block_options(block), **given)
-
-
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory, item_device):
     """A city of two blocks, both at their exchange: the first waits for the second."""
@@ -65,11 +61,11 @@ def stopped(tmp_path_factory, item_device):
             **city.identity(), OTHERS: [1 - number], EXCHANGES: [AT]})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_block, "choose_device", lambda *_, **__: item_device)
-        said = trained(city.block(0))
+        said = train_block(city.block(0))
         assert said.startswith("waits at exchange 1 of 1, after step 100: train 001 too")
         patch.setattr(training_block, "exchange", lambda *_: pytest.exit("not yet"))
         patch.setattr(training_block, "lacking_blocks", lambda *_: ["000"])
-        trained(city.block(1))
+        train_block(city.block(1))
     return city
 
 
@@ -115,7 +111,7 @@ def test_a_block_goes_on_from_what_others_own(city):
 def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
     block, copy = city.block(0), CityFolder(city.path.with_name("copy"))
     shutil.copytree(city.path, copy.path, symlinks=True)
-    assert trained(block) == "finished"
+    assert train_block(block) == "finished"
     killed = copy.block(0)
 
     def dies(*_, **__):
@@ -127,10 +123,10 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, dies)
             with pytest.raises(SystemExit):
-                trained(killed)
-    assert trained(killed) == "finished"
+                train_block(killed)
+    assert train_block(killed) == "finished"
     assert model_digest(RunFolder(killed.run)) == model_digest(RunFolder(block.run))
-    assert trained(killed) == "was finished before"
+    assert train_block(killed) == "was finished before"
 
 
 @pytest.mark.slow
@@ -139,11 +135,11 @@ def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
     run, part = RunFolder(block.run), block.exchanged(1)
     content = part.read_bytes()
     part.unlink()
-    said = trained(block, until=1)
+    said = train_block(block, until=1)
     assert said == f"stops at exchange 1 of 1, after step {AT}"
     assert run.checkpoint_iteration() == AT and not run.has_model
     assert part.read_bytes() == content  # written again from the checkpoint
-    assert trained(block) == "finished"
+    assert train_block(block) == "finished"
 
 
 @pytest.mark.slow

@@ -55,8 +55,11 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
     place.symlink_to(run.path)
     monkeypatch.setattr(compare, "write_comparison", lambda *_: ("", place))
     assert refuses(run_campaign, lambda *_: None, [other], tmp_path) == differs
-    # a block's `init` moves
-    assert refuses(block_module._check_same, run, other) == (differs and name != "init")
+    block = SimpleNamespace(run=run.path, exchanges=[])
+    with monkeypatch.context() as patch:
+        patch.setattr(block_module, "block_options", lambda _: other)
+        patch.setattr(RunFolder, "is_finished", True)
+        assert refuses(block_module.train_block, block) == (differs and name != "init")  # it moves
     city = SimpleNamespace(
         has_record=True, path=tmp_path, coarse=run.path, make=lambda: None, write=lambda _: None,
         read=lambda options: {"fingerprint": "f", "options": record})
