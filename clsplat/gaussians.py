@@ -215,33 +215,15 @@ def neighbour_distance(points: NDArray[np.floating], neighbours: int = 3
     Coincident points count as one point; otherwise the distance between duplicates would be zero.
     """
     distance, inverse, least = _distances(points, neighbours)
-    size: NDArray[np.float64] = np.maximum(np.sqrt((distance**2).mean(axis=1)), least)
-    return size[inverse]
+    return np.asarray(np.maximum(np.sqrt((distance**2).mean(axis=1)), least)[inverse])
 
 
 def mean_neighbour_distance(points: NDArray[np.floating], neighbours: int
                             ) -> NDArray[np.float64]:
-    """Mean distance float64[N] of each point to its nearest neighbours, world units.
-
-    Coincident points count as one point.
-
-    Parameters
-    ----------
-    points : float[N, 3].
-    neighbours : how many neighbours.
-
-    Raises
-    ------
-    InputError : if there are not more distinct points than neighbours.
-    """
+    """Mean distance float64[N] of each point to its nearest neighbours, or to as many as there are,
+    world units. Coincident points count as one point."""
     distance, inverse, least = _distances(points, neighbours)
-    if distance.shape[1] < neighbours:
-        raise InputError(
-            f"the sparse model has {len(distance)} distinct points, sphere_neighbours = "
-            f"{neighbours} needs at least {neighbours + 1}; give a smaller number or "
-            "sphere = false")
-    size: NDArray[np.float64] = np.maximum(distance.mean(axis=1), least)
-    return size[inverse]
+    return np.asarray(np.maximum(distance.mean(axis=1), least)[inverse])
 
 
 def mean_inverse_distance(points: NDArray[np.floating]) -> float:

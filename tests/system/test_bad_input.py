@@ -141,20 +141,6 @@ def test_spoilt_scene(tmp_path, case):
     assert not content(tmp_path / "run"), "nothing half written"
 
 
-@pytest.mark.slow
-def test_a_sphere_wants_neighbours(tmp_path):
-    """Its radius is a mean over 15 others, or as many as are asked for."""
-    folder = write_scene(tmp_path / "town", left(15, reconstruction()))
-    words = ("train", folder, "-o", tmp_path / "run", *TRAIN, "--config",
-             tmp_path / "run.toml")
-    (tmp_path / "run.toml").write_text("sphere = true\n")
-    line = refused(*words, naming=("15 distinct points", "sphere_neighbours = 15", "at least 16",
-                                   "sphere = false"))
-    assert ";" in line and not content(tmp_path / "run")
-    (tmp_path / "run.toml").write_text("sphere-neighbours = 14\n")
-    assert clsplat(*words).exit_code == 0
-
-
 @pytest.mark.parametrize("parent", ["a file", "/proc"])
 def test_output_that_cannot_be_written(tmp_path, healthy, parent):
     """Root may write anywhere but there."""

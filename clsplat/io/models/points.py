@@ -107,14 +107,12 @@ def write_las(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     step = max(typical / STEPS_A_SCALE, FINEST_STEP)  # coarser if 32 bits cannot hold it
     header.scales = np.full(3, max(10.0 ** np.floor(np.log10(step)),
                                    10.0 ** np.ceil(np.log10(max(reach, 1e-300) / STEPS))))
-    record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
-    record.x, record.y, record.z = points.T
-    record.red, record.green, record.blue = _shares(colours_of(gaussians.sh_constant)).T
-    record.intensity = _shares(opacities(gaussians))
-    with replacing(path) as file, laspy.open(
-            file, mode="w", header=header, closefd=False,
-            do_compress=path.suffix.lower() == ".laz") as writer:
-        writer.write_points(record)
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    las.red, las.green, las.blue = _shares(colours_of(gaussians.sh_constant)).T
+    las.intensity = _shares(opacities(gaussians))
+    with replacing(path) as file:
+        las.write(file, do_compress=path.suffix.lower() == ".laz")
 
 
 def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | None = None

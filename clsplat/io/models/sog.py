@@ -101,16 +101,14 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
     source: AbstractContextManager[Any] = (
         opened_archive(path) if parts is None else nullcontext((None, {})))
     with reading(path, KIND), source as (archive, members):
-        folder = min((name for name in members if PurePosixPath(name).name == META), key=len,
-                     default=META).removesuffix(META)  # some programs zip their folder
+        # some programs zip their folder
+        inside = {PurePosixPath(name).name: member for name, member in members.items()}
 
         def read(name: str) -> bytes:
             if archive is None:
                 return read_regular(Path(parts or "", PurePosixPath(name).name))
-            member = members[folder + name]
-            with archive.open(member) as stream:
-                content: bytes = stream.read(member.file_size + 1)
-            return content
+            with archive.open(inside[name]) as stream:
+                return bytes(stream.read(inside[name].file_size + 1))
 
         meta = object_of(read(META))
         if meta.get("version", 1) != 2:
@@ -119,7 +117,7 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
         if type(count) is not int or count < 0:
             raise ValueError("count is not a number of gaussians")
         contents = [read(name) for part in (MEANS, SCALES, QUATERNIONS, COLOURS)
-                    for name in _files(meta, part)]
+                    for _, name in zip(TEXTURES[part], meta[part]["files"])]
         degree = meta.get(HARMONICS, {}).get("bands", 0)
         check_rows(sum(map(len, contents)), count, BANDS[degree])
         lower, upper, scales, quaternions, colours = (
@@ -127,8 +125,6 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
         low, high = (np.array(meta[MEANS][end], np.float64) for end in ("mins", "maxs"))
         logarithms = low + (high - low) * ((lower[:, :3] + 256.0 * upper[:, :3]) / LARGEST_STEP)
         tag = quaternions[:, 3].astype(int) - FIRST_TAG
-        if count and not 0 <= tag.min() <= tag.max() < 4:
-            raise ValueError("a quaternion has no largest component")
         rows = {
             "positions": np.sign(logarithms) * np.expm1(np.minimum(np.abs(logarithms), 88)),
             "sh_constant": _codes(meta[COLOURS])[colours[:, :3]],
@@ -140,14 +136,6 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
         origin = np.array(meta.get(ORIGIN, (0, 0, 0)), np.float64).reshape(3)
         return (gaussians_of(path, rows, origin, offset),
                 Notes((MIP,) if meta.get("antialias") else ()))
-
-
-def _files(meta: dict[str, Any], part: str) -> list[str]:
-    """The names of the textures of a part."""
-    files, number = meta[part]["files"], len(TEXTURES[part])
-    if not isinstance(files, list) or len(files) != number:
-        raise ValueError(f"{part} has not {number} textures")
-    return files
 
 
 def _harmonics(sh_rest: NDArray[np.float64], degree: int
@@ -173,7 +161,7 @@ def _read_harmonics(meta: dict[str, Any], read: Callable[[str], bytes], count: i
         return np.zeros((count, 0, 3))
     part = meta[HARMONICS]
     bands = BANDS[part["bands"]]
-    pixels, labels = (_decoded(read(name)) for name in _files(meta, HARMONICS))
+    pixels, labels = (_decoded(read(name)) for _, name in zip(TEXTURES[HARMONICS], part["files"]))
     if pixels.shape[1] != PALETTE_COLUMNS * bands:
         raise ValueError(f"its palette is {pixels.shape[1]} pixels wide")
     numbers = _pixels(labels, count)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, logit
 
 from clsplat.constants import SH_C0
 from clsplat.errors import InputError
@@ -154,14 +155,12 @@ def usable(path: str | Path, rows: dict[str, NDArray[Any]], most_left_out: float
 
 def opacities(gaussians: Gaussians) -> NDArray[np.float64]:
     """float64[N], 0 to 1."""
-    with np.errstate(over="ignore"):
-        return np.asarray(1 / (1 + np.exp(-gaussians.opacity_logits.astype(np.float64))))
+    return np.asarray(expit(gaussians.opacity_logits.astype(np.float64)))
 
 
 def logits(opacity: NDArray[np.float64]) -> NDArray[np.float64]:
     """The logits float64[N] of opacities, of which 0 and 1 are moved so far that theirs exist."""
-    inside = np.clip(opacity, LEAST_OPACITY, GREATEST_OPACITY)
-    return np.log(inside) - np.log1p(-inside)
+    return np.asarray(logit(np.clip(opacity, LEAST_OPACITY, GREATEST_OPACITY)))
 
 
 def byte_logits(values: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -182,8 +181,7 @@ def colours_of(sh_constant: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Round to uint8, within its limits."""
-    limited: NDArray[np.uint8] = np.clip(np.rint(values), 0, 255).astype(np.uint8)
-    return limited
+    return np.asarray(np.clip(np.rint(values), 0, 255), np.uint8)
 
 
 def half_turn(rows: dict[str, NDArray[np.float64]], axis: int) -> dict[str, NDArray[np.float64]]:
@@ -208,9 +206,8 @@ def morton_order(positions: NDArray[np.floating]) -> NDArray[np.intp]:
     cells = ((positions - positions.min(axis=0)) / span * ((1 << MORTON_BITS) - 1)).astype(
         np.uint64)
     code = np.zeros(len(positions), np.uint64)
-    for bit in range(MORTON_BITS):
-        for axis in range(3):
-            code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    for bit, axis in np.ndindex(MORTON_BITS, 3):
+        code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
     return np.argsort(code, kind="stable")
 
 

@@ -38,9 +38,9 @@ def test_a_zip_with_a_folder(tmp_path, members):
     (lambda meta: meta.update(count=True), "count is not"),
     (lambda meta: meta.update(count=31 * 31), "pixels for"),
     (lambda meta: meta["sh0"].update(files=["gone.webp"]), "damaged"),
-    (lambda meta: meta["sh0"].update(files="sh0.webp"), "sh0 has not 1 textures"),
+    (lambda meta: meta["sh0"].update(files="sh0.webp"), "damaged"),
     (lambda meta: meta["shN"].update(bands=4), "damaged"),
-    (lambda meta: meta["shN"].update(files=["shN_labels.webp"]), "shN has not 2 textures"),
+    (lambda meta: meta["shN"].update(files=["shN_labels.webp"]), "damaged"),
     (lambda meta: meta.pop("quats"), "damaged"),
 ])
 def test_what_does_not_fit(tmp_path, members, change, words):
