@@ -114,8 +114,7 @@ class Gaussians:
 
     def __getattr__(self, name: str) -> NDArray[np.float32]:
         try:
-            rows: dict[str, NDArray[np.float32]] = self.__dict__["rows"]
-            return rows[name]
+            return np.asarray(self.__dict__["rows"][name])
         except KeyError:
             raise AttributeError(name) from None
 

@@ -295,8 +295,7 @@ def _in_frame_of(model: Gaussians, camera: Camera | None) -> Camera:
         raise InputError(f"camera {shown(camera)}: not a camera; give clsplat.Camera, such "
                          "as a view's")
     camera.check()
-    away = np.asarray(model.offset, np.float64) - camera.offset
-    return camera.shifted(away) if away.any() else camera
+    return camera.shifted(model.offset - camera.offset)
 
 
 def _image(array: Any) -> NDArray[np.float32]:

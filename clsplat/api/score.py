@@ -72,16 +72,15 @@ class Score:
                 f"({self.psnr_cc:.2f} after the colour fit), SSIM {self.ssim:.4f}>")
 
     def _repr_html_(self) -> str:
-        rows = {"held-out views": str(self.views),
-                "PSNR": f"{self.psnr:.2f} dB ({self.psnr_cc:.2f} after the colour fit)",
-                "SSIM": f"{self.ssim:.4f} ({self.ssim_cc:.4f} after the colour fit)"}
-        for name, plain, fitted in (("FLIP", self.flip, self.flip_cc),
-                                    ("LPIPS", self.lpips, self.lpips_cc)):
-            if plain is not None and fitted is not None:
-                rows[name] = f"{plain:.4f} ({fitted:.4f} after the colour fit), lower is better"
-        if self.psnr_aligned is not None:
-            rows["PSNR from aligned poses"] = (
-                f"{self.psnr_aligned:.2f} dB ({self.psnr_cc_aligned:.2f} after the colour fit)")
+        rows = {"held-out views": str(self.views)}
+        for name, plain, fitted, digits, unit in (
+                ("PSNR", self.psnr, self.psnr_cc, 2, " dB"),
+                ("SSIM", self.ssim, self.ssim_cc, 4, ""),
+                ("FLIP, lower is better", self.flip, self.flip_cc, 4, ""),
+                ("LPIPS, lower is better", self.lpips, self.lpips_cc, 4, ""),
+                ("PSNR from aligned poses", self.psnr_aligned, self.psnr_cc_aligned, 2, " dB")):
+            if plain is not None:
+                rows[name] = f"{plain:.{digits}f}{unit} ({fitted:.{digits}f} after the colour fit)"
         return table(rows)
 
 

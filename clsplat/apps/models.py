@@ -34,12 +34,11 @@ def supported(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.bool
     """bool[N]: whether at least LEAST_VIEWS photos show the place of a gaussian, see `support`;
     all, with a warning, if that holds for none."""
     shown = support(gaussians, photos) >= LEAST_VIEWS
-    if shown.any() or not gaussians.count:
-        return shown
-    if photos:
+    if not shown.any():
         log.warning("no two photos show any of the %s gaussians, so all are kept",
                     f"{gaussians.count:,}")
-    return np.ones(gaussians.count, bool)
+        shown[:] = True
+    return shown
 
 
 def photos_of(run: Run, scene_path: Path | None = None) -> list[Camera]:

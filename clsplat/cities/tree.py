@@ -8,6 +8,8 @@ block, and of the others only their tops.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -33,37 +35,34 @@ class TreeBuilder:
     def add(self, block: Gaussians) -> None:
         """Write the nodes of a block; nothing for one without gaussians."""
         if block.count:
-            self._tops.append(self._below(block, np.arange(block.count)))
+            self._tops.append(self._top(block.positions, np.arange(block.count), self._cell,
+                                        lambda rows: self._node(selected(block, rows))))
 
     def finish(self) -> None:
         """Write the nodes above the blocks; the last one is the root."""
         if self._tops:
             nodes = np.stack([self._writer.nodes[number] for number, _ in self._tops])
-            self._above((nodes["usual_low"] + nodes["usual_high"]) / 2, np.arange(len(nodes)))
+            self._top((nodes["usual_low"] + nodes["usual_high"]) / 2, np.arange(len(nodes)), 1,
+                      lambda rows: self._tops[int(rows[0])])
 
-    def _below(self, block: Gaussians, rows: NDArray[np.intp]) -> Node:
-        if len(rows) <= self._cell:
-            content = selected(block, rows)
-            return self._writer.add(content, facts_of(content)), content
-        return self._joined([self._below(block, part) for part in parted(
-            block.positions, rows, self._cell, ROUNDS)])
+    def _top(self, positions: NDArray[np.floating], rows: NDArray[np.intp], most: int,
+             leaf: Callable[[NDArray[np.intp]], Node]) -> Node:
+        """The node of some rows: a leaf of at most `most`, or one above the nodes of their parts.
+        """
+        if len(rows) <= most:
+            return leaf(rows)
+        numbers, contents = zip(*[self._top(positions, part, most, leaf)
+                                  for part in parted(positions, rows, most, ROUNDS)])
+        whole = merged(contents)
+        return self._node(decimated(whole, -(-whole.count // FEWER)), numbers)
 
-    def _above(self, middles: NDArray[np.float64], rows: NDArray[np.intp]) -> Node:
-        if len(rows) == 1:
-            return self._tops[int(rows[0])]
-        return self._joined([self._above(middles, part)
-                             for part in parted(middles, rows, 1, ROUNDS)])
-
-    def _joined(self, children: list[Node]) -> Node:
-        numbers = [number for number, _ in children]
-        whole = merged([content for _, content in children])
-        content = decimated(whole, -(-whole.count // FEWER))
-        below = np.stack([self._writer.nodes[number] for number in numbers])
+    def _node(self, content: Gaussians, children: Sequence[int] = ()) -> Node:
         facts = facts_of(content)
-        for name, end in (("low", np.minimum), ("usual_low", np.minimum), ("high", np.maximum),
-                          ("usual_high", np.maximum), ("largest", np.maximum)):
-            facts[name] = end(facts[name], end.reduce(below[name]))
-        return self._writer.add(content, facts, numbers), content
+        for below in (self._writer.nodes[child] for child in children):
+            for name, end in (("low", np.minimum), ("usual_low", np.minimum), ("high", np.maximum),
+                              ("usual_high", np.maximum), ("largest", np.maximum)):
+                facts[name] = end(facts[name], below[name])
+        return self._writer.add(content, facts, children), content
 
 
 def facts_of(content: Gaussians) -> dict[str, ArrayLike]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsplat.cli.flags import FiniteRange, Parsed, SectionedCommand, SectionedOption, check_free
+from clsplat.cli.flags import FiniteRange, SectionedCommand, SectionedOption, check_free
 from clsplat.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,17 +20,6 @@ CROP: dict[str, Any] = {"cls": SectionedOption, "section": "Crop"}
 CLEAN: dict[str, Any] = {"cls": SectionedOption, "section": "Remove gaussians"}
 MOVE: dict[str, Any] = {"cls": SectionedOption, "section": "Transform"}
 FINITE = FiniteRange()
-
-
-def amount_of(text: str) -> float:
-    """A share below 1, or a whole number of gaussians."""
-    try:
-        number = float(text)
-    except ValueError:
-        number = 0.0
-    if not (0 < number < 1 or number >= 1 and number.is_integer()):
-        raise ValueError("neither a share between 0 and 1, such as 0.5, nor a number of gaussians")
-    return number
 
 
 @click.command(cls=SectionedCommand)
@@ -56,7 +45,7 @@ def amount_of(text: str) -> float:
               "more than this.")
 @click.option("--min-support", type=click.IntRange(min=0), default=0, **CLEAN,
               help="Remove gaussians at places that fewer photos show.")
-@click.option("--decimate", type=Parsed("SHARE|COUNT", amount_of), **CLEAN,
+@click.option("--decimate", type=FiniteRange(min=0, min_open=True), metavar="SHARE|COUNT", **CLEAN,
               help="Merge neighbours until this share, such as 0.5, or this number of gaussians is "
               "left.")
 @click.option("--scale", type=FiniteRange(min=0, min_open=True), default=1.0, **MOVE,
@@ -89,6 +78,9 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
     from clsplat.io.models.values import opacities
     format_of(output)
     check_free(output, overwrite)
+    if decimate and decimate > 1 and not decimate.is_integer():
+        raise InputError(f"--decimate {decimate}: neither a share between 0 and 1, such as 0.5, "
+                         "nor a number of gaussians")
     if outside and not (box or polygon):
         raise InputError("--outside: has no effect without --box or --polygon")
     with Progress() as progress:

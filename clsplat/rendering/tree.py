@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.constants import SPLAT_REALS
 from clsplat.device import Array, Device
-from clsplat.io.models.tree import FIELDS, ORDER, Tree, row_bytes
+from clsplat.io.models.tree import FIELDS, ORDER, Tree
 from clsplat.rendering.pipeline import Frame, Renderer
 from clsplat.rendering.project import LOW_PASS
 from clsplat.rendering.slabs import (
@@ -142,6 +142,6 @@ class TreeRenderer:
 
 def _drawn_bytes(device: Device, sh_degree: int) -> int:
     """Bytes of host memory that a gaussian takes while it is drawn."""
-    largest = max(4 * field.width(sh_degree) for field in FIELDS.values())  # on its way there
-    on_device = row_bytes(sh_degree) + 4 * (SPLAT_REALS + INDICES) + PAIR_BYTES
-    return largest + GATHER_BYTES + on_device * device.is_cpu
+    widths = [field.width(sh_degree) for field in FIELDS.values()]
+    on_device = 4 * (sum(widths) + SPLAT_REALS + INDICES) + PAIR_BYTES
+    return 4 * max(widths) + GATHER_BYTES + on_device * device.is_cpu  # one field on its way there

@@ -10,7 +10,6 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -65,25 +64,22 @@ def _cloud(path: Path, points: NDArray[np.float64], colours: NDArray[np.generic]
            offset: NDArray[np.float64] | None) -> Gaussians:
     """Gaussians on points in original coordinates; colours have 8 or 16 bits, or are float from 0
     to 1. Without an offset: that of points far from the origin is their middle in whole units."""
-    rows: dict[str, NDArray[Any]] = {
-        "positions": np.where(np.abs(points) <= LARGEST_COORDINATE, points, np.nan)}
-    if colours is not None:
-        rows["colours"] = np.nan_to_num(colours)
-    rows = usable(path, rows)
-    points = rows["positions"]
+    if colours is None:
+        colours = np.full(points.shape, GREY, np.uint8)
+    rows = usable(path, {
+        "positions": np.where(np.abs(points) <= LARGEST_COORDINATE, points, np.nan),
+        "colours": np.nan_to_num(colours)})
+    points, shown = rows["positions"], rows["colours"].astype(np.float64)
     if not len(points) or (points == points[0]).all():
         raise InputError(f"{path}: its {len(points)} points have fewer than two places; gaussians "
                          "take their size from the distance of points, so give a larger cloud")
     if offset is None:
         middle = np.rint(np.median(points, axis=0))
         offset = middle if np.abs(middle).max() > FAR else np.zeros(3)
-    shown = np.full(points.shape, float(GREY))
-    if colours is not None:
-        shown = rows["colours"].astype(np.float64)
-        if colours.dtype.kind == "f":
-            shown *= 255
-        elif shown.max(initial=0) > 255:  # some programs write 8 bits into 16
-            shown /= 257
+    if colours.dtype.kind == "f":
+        shown *= 255
+    elif shown.max() > 255:  # some programs write 8 bits into 16
+        shown /= 257
     return Gaussians.from_points(
         points - offset, np.clip(np.rint(shown), 0, 255).astype(np.uint8), 0).located(offset)
 
@@ -163,7 +159,7 @@ def _shares(values: NDArray[np.floating]) -> NDArray[np.uint16]:
     return np.asarray(np.clip(np.rint(values * 65535), 0, 65535), np.uint16)
 
 
-def _laspy_for(path: Path) -> ModuleType:
+def _laspy_for(path: Path) -> Any:
     """laspy; InputError, which names the file that needs it, if it or lazrs is not installed."""
     try:
         import laspy
@@ -171,8 +167,7 @@ def _laspy_for(path: Path) -> ModuleType:
     except ImportError:
         raise InputError(f"{path}: LAS and LAZ need laspy and lazrs; "
                          "`pip install laspy lazrs`") from None
-    module: ModuleType = laspy
-    return module
+    return laspy
 
 
 @contextmanager

@@ -126,8 +126,3 @@ class Tree:
         with reading(self.path, KIND, CURE):  # reshape refuses rows that end early
             self._file.seek(place + 4 * before * count)
             return np.fromfile(self._file, "<f4", math.prod(shape)).reshape(shape)
-
-
-def row_bytes(sh_degree: int) -> int:
-    """Bytes of a gaussian in the file."""
-    return 4 * sum(field.width(sh_degree) for field in LEARNED)
