@@ -104,12 +104,12 @@ def gaussians_of(path: str | Path, element: plyfile.PlyElement, comments: Iterab
             if name not in table.dtype.names or table.dtype[name].kind not in "fiu":
                 raise InputError(NOT_GAUSSIANS.format(path, f"column {name} is missing or a list"))
         values = structured_to_unstructured(table[names]) if names else np.zeros((len(table), 0))
-        if field.name in PLACES:
-            values = values.astype(np.float64) - offset
-        values = values.reshape(len(table), *shape[::-1])
-        if field.shape is None:  # channel by channel
-            values = values.transpose(0, 2, 1)
         with np.errstate(over="ignore", invalid="ignore"):  # the result is checked
+            if field.name in PLACES:
+                values = values.astype(np.float64) - offset
+            values = values.reshape(len(table), *shape[::-1])
+            if field.shape is None:  # channel by channel
+                values = values.transpose(0, 2, 1)
             rows[field.name] = np.array(values, np.float32, order="C")
     return Gaussians(usable(path, rows, most_left_out), degree, offset)
 
