@@ -29,7 +29,7 @@ ITERATIONS = 50
 CAUCHY = 2.385**2  # variances from which on weights fall; 95 % efficient without outliers
 MOST_RIGHT = 0.7  # at least this share of the positions is taken to be right
 OUTLIER = 4.0  # standard deviations beyond which a position is reported as wrong
-LARGEST_SHARE = 0.5  # of the spread of the positions that the residuals may have
+LARGEST_SHARE = 0.15  # of the size of the positions that the residuals may have
 LARGEST_STEP = 1.0  # of the logarithm of the scale and of angles, radians, in one iteration
 LARGEST_CHANGE = 1e6  # of the scale from a start, in both directions
 
@@ -77,8 +77,7 @@ class Alignment:
 
 
 def aligned(places: ArrayLike, positions: ArrayLike, vertical: Vertical, *,
-            std: ArrayLike | None = None, independent_heights: float = INDEPENDENT_HEIGHTS
-            ) -> Alignment | None:
+            std: ArrayLike | None = None, is_control: bool = False) -> Alignment | None:
     """Align places in a reconstruction with their measured positions.
 
     Parameters
@@ -88,7 +87,7 @@ def aligned(places: ArrayLike, positions: ArrayLike, vertical: Vertical, *,
     vertical : what is known of it in the reconstruction.
     std : float[N, 3], metres, standard deviations of the positions, of which only ratios count;
         None: all are equal.
-    independent_heights : as so many measurements all heights together count.
+    is_control : whether heights are as right as the rest, as those of ground control points are.
 
     Returns
     -------
@@ -103,10 +102,13 @@ def aligned(places: ArrayLike, positions: ArrayLike, vertical: Vertical, *,
     if known.sum() < LEAST_POSITIONS:
         return None
     deviations = np.ones(positions.shape) if std is None else np.asarray(std, np.float64)
-    problem = _Problem(places, positions, known, vertical, deviations, independent_heights)
-    ends = [end for start in problem.starts() if (end := problem.refined(start)) is not None]
-    ends.sort(key=lambda end: (not vertical.stands(end.rotation), problem.cost(end)))
-    return next(filter(problem.is_consistent, map(problem.judged, ends)), None)
+    problem = _Problem(places, positions, known, vertical, deviations, is_control)
+    rng = np.random.default_rng(0)
+    found = [problem.judged(end) for start in (problem.level_start(rng), problem.free_start(rng))
+             if start is not None and (end := problem.refined(start)) is not None]
+    consistent = [each for each in found if each.used.sum() >= LEAST_POSITIONS
+                  and each.horizontal < LARGEST_SHARE * each.size]
+    return min(consistent, key=lambda each: (not each.stands, each.horizontal), default=None)
 
 
 class _Problem:
@@ -114,7 +116,7 @@ class _Problem:
 
     def __init__(self, places: NDArray[np.float64], positions: NDArray[np.float64],
                  known: NDArray[np.bool_], vertical: Vertical, std: NDArray[np.float64],
-                 independent_heights: float) -> None:
+                 is_control: bool) -> None:
         self.known, self.places, self.vertical = known, places[known], vertical
         self.up, self.up_std = vertical.up, np.radians(vertical.degrees)
         deviations = np.maximum(std[known], LEAST_STD)
@@ -123,7 +125,8 @@ class _Problem:
         self.horizontal_std /= np.median(self.horizontal_std)
         self.vertical_std = deviations[:, 2] / np.median(deviations[:, 2])
         self.has_height = np.isfinite(positions[known, 2])
-        self.height_share = min(1.0, independent_heights / max(int(self.has_height.sum()), 1))
+        self.height_share = 1.0 if is_control else min(
+            1.0, INDEPENDENT_HEIGHTS / max(int(self.has_height.sum()), 1))
         self.positions = np.where(np.isfinite(positions[known]), positions[known], 0.0)
         flat = self.positions[:, :2]
         self.least_std = max(LEAST_STD, BENDING * float(np.median(np.linalg.norm(
@@ -134,13 +137,9 @@ class _Problem:
         away = similarity(self.places) - self.positions
         return away[:, :2], np.where(self.has_height, away[:, 2], 0.0)
 
-    def starts(self) -> list[Similarity]:
-        """Similarities that fit most of the positions: one that has the given direction
-        upwards and does not look at heights, and one that looks at positions alone."""
-        rng = np.random.default_rng(0)
-        return [start for start in (self._level_start(rng), self._free_start(rng)) if start]
-
-    def _level_start(self, rng: np.random.Generator) -> Similarity | None:
+    def level_start(self, rng: np.random.Generator) -> Similarity | None:
+        """One that fits most of the positions along the ground, with the given direction upwards.
+        """
         rotation = Rotation.align_vectors(UP, self.up)[0].as_matrix()
         turned = self.places @ rotation.T
         place, position = (values[:, 0] + 1j * values[:, 1]
@@ -161,7 +160,8 @@ class _Problem:
         return Similarity(scale, turn @ rotation, np.array(
             [shift.real, shift.imag, np.median(heights) if len(heights) else 0.0]))
 
-    def _free_start(self, rng: np.random.Generator) -> Similarity | None:
+    def free_start(self, rng: np.random.Generator) -> Similarity | None:
+        """One that fits most of the positions that have heights."""
         places, positions, std = (values[self.has_height] for values in (
             self.places, self.positions, self.horizontal_std))
 
@@ -222,7 +222,7 @@ class _Problem:
         up = similarity.rotation @ self.up
         prior = np.zeros((2, 7))
         prior[:, 1:4] = np.cross(up, np.eye(3))[:2]
-        tilt = self._tilt(similarity)
+        tilt = float(np.arccos(np.clip(up[2], -1, 1)))
         weight = 1 / np.sqrt(self.up_std**2 + tilt**2 / CAUCHY)
         matrix = np.concatenate([(root * columns).reshape(-1, 7), weight * prior])
         away_from_up = up[:2] / (np.linalg.norm(up[:2]) or 1.0)
@@ -241,18 +241,6 @@ class _Problem:
             (height_std * self.vertical_std)**2 + vertical**2 / CAUCHY)
         return np.column_stack([ground, ground, height])
 
-    def _tilt(self, similarity: Similarity) -> float:
-        """Angle between up and the direction that cameras show as up, radians."""
-        return float(np.arccos(np.clip((similarity.rotation @ self.up)[2], -1, 1)))
-
-    def cost(self, similarity: Similarity) -> float:
-        """The negative logarithm of the likelihood, but for a constant."""
-        ground_std, height_std = self._deviations(similarity)
-        heights = self.height_share * self.has_height.sum()
-        vertical = heights * np.log(height_std) if heights else 0.0
-        return float(2 * len(self.places) * np.log(ground_std) + vertical
-                     + CAUCHY / 2 * np.log1p((self._tilt(similarity) / self.up_std)**2 / CAUCHY))
-
     def judged(self, similarity: Similarity) -> Alignment:
         """The result, with its residuals."""
         horizontal, vertical = self.residuals(similarity)
@@ -267,13 +255,6 @@ class _Problem:
             similarity, used, used_heights, _rms(ground[right]), _rms(vertical[right & level]),
             self.vertical.stands(similarity.rotation),
             float(np.linalg.norm(np.ptp(flat, axis=0))) if len(flat) else 0.0)
-
-    def is_consistent(self, result: Alignment) -> bool:
-        """Whether the positions that are used are enough, and residuals smaller than their spread.
-        """
-        flat = self.positions[result.used[self.known], :2]
-        return len(flat) >= LEAST_POSITIONS and bool(result.horizontal <= LARGEST_SHARE * np.sqrt(
-            ((flat - flat.mean(axis=0))**2).sum(axis=1).mean()))
 
 
 def fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similarity | None:
@@ -297,11 +278,9 @@ def fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similari
 
 
 def _samples(rng: np.random.Generator, count: int, size: int) -> NDArray[np.intp]:
-    """Distinct indices [S, size]; all pairs if these are few."""
+    """Distinct indices [S, size]."""
     if count < size:
         return np.zeros((0, size), np.intp)
-    if size == 2 and count * (count - 1) // 2 <= SAMPLES:
-        return np.column_stack(np.triu_indices(count, 1))
     return np.array([rng.choice(count, size, replace=False) for _ in range(SAMPLES)])
 
 

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clsplat.errors import InputError
 from clsplat.georeference import MOST_RESIDUAL
-from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, LEAST_POSITIONS, Alignment, aligned
+from clsplat.placement.alignment import LEAST_POSITIONS, Alignment, aligned
 from clsplat.placement.up import Vertical
 
 LEAST_FOR_GUESS = 5  # positions; fewer fit a mirror image by chance
@@ -34,32 +35,35 @@ class Guess(NamedTuple):
     positions: NDArray[np.float64]
 
 
-class Implausible(ValueError):
-    """Positions that place a reconstruction nowhere, or as it cannot be; its text is the reason."""
+class NotGeoreferenced(InputError):
+    """Why a reconstruction has no place on the earth; `expected` if nothing is wrong, and there are
+    simply too few positions."""
+
+    def __init__(self, why: str, expected: bool = False) -> None:
+        super().__init__(why)
+        self.expected = expected
 
 
 def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
              guesses: Sequence[Guess] = (), *, std: ArrayLike | None = None,
-             independent_heights: float = INDEPENDENT_HEIGHTS, heights_count: bool = False
-             ) -> Alignment:
+             is_control: bool = False) -> Alignment:
     """The alignment of places with positions, as `aligned` finds it.
 
     Parameters
     ----------
-    places, positions, vertical, std, independent_heights : as in `aligned`.
+    places, positions, vertical, std : as in `aligned`.
     guesses : what is tried as well.
-    heights_count : whether heights are as right as the rest, so that their residuals are judged.
+    is_control : whether these are ground control points, whose heights are as right as the rest.
 
     Raises
     ------
-    Implausible : there is none, it is upside down or tilted, or a guess fits far better.
+    NotGeoreferenced : there is none, it is upside down or tilted, or a guess fits far better.
     """
     def attempt(measured: ArrayLike) -> Alignment | None:
-        return aligned(places, measured, vertical, std=std,
-                       independent_heights=independent_heights)
+        return aligned(places, measured, vertical, std=std, is_control=is_control)
 
     def miss(found: Alignment) -> float:
-        return float(np.hypot(found.horizontal, np.nan_to_num(found.vertical) * heights_count))
+        return float(np.hypot(found.horizontal, np.nan_to_num(found.vertical) * is_control))
 
     result = attempt(positions)
     question, least = "", np.inf
@@ -85,28 +89,31 @@ def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
         reason = f"miss the reconstruction by {miss(result):.3g} m"
     else:
         return result
-    raise Implausible(f"{reason}: {question}" if question else reason)
+    subject, cure = (
+        ("--gcp: the ground control points", "check the coordinates, the CRS and the marks")
+        if is_control else ("the photos' GPS positions", "check the coordinates"))
+    raise NotGeoreferenced(f"{subject} {reason}" + (f": {question}" if question else f"; {cure}"))
 
 
-def doubts(result: Alignment, positions: ArrayLike, vertical: Vertical, size_of: str, *,
-           residuals: tuple[float, float] | None = None, heights_count: bool = False) -> list[str]:
+def doubts(result: Alignment, positions: ArrayLike, vertical: Vertical,
+           residuals: tuple[float, float], is_control: bool = False) -> list[str]:
     """Sentences on what a user must not rely on in an alignment.
 
     Parameters
     ----------
     positions, vertical : that it was made of.
-    size_of : what its size is that of, such as "the flight".
-    residuals : metres, along the ground and in height; None: its own.
-    heights_count : whether heights are as right as the rest.
+    residuals : metres, along the ground and in height.
+    is_control : as in `believed`.
     """
+    size_of = "the surveyed area" if is_control else "the flight"
     found = [f"the residual of {value:.2f} m {where} is {100 * value / max(result.size, 1e-9):.0f} "
              f"% of the size of {size_of}, {result.size:.0f} m: {cure}"
              for value, where, cure in zip(
-                 residuals or (result.horizontal, result.vertical),
+                 residuals,
                  ("along the ground", "in height"),
                  ("place, scale and directions are uncertain", "do not rely on heights"))
              if np.isfinite(value) and value > MOST_RESIDUAL * result.size]
-    wrong = ~result.used | (~result.used_heights if heights_count else False)
+    wrong = ~result.used | (~result.used_heights if is_control else False)
     if wrong.mean() > MOST_LEFT_OUT:
         found.append(f"{wrong.sum()} of {len(wrong)} positions contradict the others, so the "
                      "others may be the wrong ones: check them")

@@ -16,7 +16,7 @@ import pycolmap
 from clsplat import __version__
 from clsplat.errors import InputError, reason
 from clsplat.io.folders import link_file, make_folder
-from clsplat.io.georeference.adjustment import NotGeoreferenced, check_marks
+from clsplat.io.georeference.adjustment import check_marks
 from clsplat.io.georeference.control_points import read_control_points
 from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
@@ -29,6 +29,7 @@ from clsplat.io.regular import read_regular
 from clsplat.io.scenes.colmap import write_reconstruction
 from clsplat.io.scenes.colmap_files import CAMERA_MODELS
 from clsplat.io.scenes.sources import IMAGES
+from clsplat.placement.plausible import NotGeoreferenced
 from clsplat.sfm.features import (
     create_database,
     extract_features,

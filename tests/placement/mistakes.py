@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from clsplat.io.georeference.crs import outside
 from clsplat.placement.alignment import Alignment
-from clsplat.placement.plausible import Guess, Implausible, believed, doubts
+from clsplat.placement.plausible import Guess, NotGeoreferenced, believed, doubts
 from clsplat.placement.up import Vertical
 
 HEIGHT = 80.0  # metres of a flight above ground
@@ -141,11 +141,10 @@ def outcome(mistake: str, seed: int) -> Outcome:
                Guess("feet?", positions * (1, 1, 0.3048))]
     try:
         result = believed(places(measured), positions, vertical, guesses if is_control
-                          else guesses[:1], heights_count=is_control,
-                          **({"independent_heights": len(measured)} if is_control else {}))
-    except Implausible as error:
+                          else guesses[:1], is_control=is_control)
+    except NotGeoreferenced as error:
         return Outcome("refused", False, str(error))
-    said = doubts(result, positions, vertical, "the flight", heights_count=is_control)
+    said = doubts(result, positions, vertical, (result.horizontal, result.vertical), is_control)
     return Outcome("warned" if said else "believed",
                    _is_right(result, turn, scale, places(true), origin + true), "; ".join(said))
 

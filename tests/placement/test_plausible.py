@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from clsplat.placement.alignment import aligned
-from clsplat.placement.plausible import Guess, Implausible, believed, doubts
+from clsplat.placement.plausible import Guess, NotGeoreferenced, believed, doubts
 from clsplat.placement.up import Vertical
 from tests.placement.mistakes import MISTAKES, outcome
 
@@ -46,7 +46,8 @@ def test_mirrored_gps_of_a_flat_nadir_survey_is_refused(change, noise):
     assert believed(centres, gps, vertical).stands
     wrong = change(gps)
     assert not aligned(centres, wrong, vertical).stands  # with a residual as small
-    with pytest.raises(Implausible, match="upside down or tilted by 1[78].* degrees: mirrored"):
+    refusal = "upside down or tilted by 1[78].* degrees: mirrored"
+    with pytest.raises(NotGeoreferenced, match=refusal):
         believed(centres, wrong, vertical, [Guess("mirrored?", change(wrong))])
 
 
@@ -56,7 +57,8 @@ def test_few_photos_pass_with_a_warning():
     ground = np.random.default_rng(1).uniform((0, 0, 0), (100, 80, 1), (200, 3))
     vertical = Vertical.by_cameras(rotations, ground)
     gps = centres + np.random.default_rng(2).normal(0, 0.1, centres.shape)
-    found = doubts(believed(centres, gps, vertical), gps, vertical, "the flight")
+    result = believed(centres, gps, vertical)
+    found = doubts(result, gps, vertical, (result.horizontal, result.vertical))
     assert len(found) == 1 and found[0].startswith("only 3 positions decide")
 
 

@@ -22,20 +22,12 @@ from clsplat.errors import InputError
 from clsplat.georeference import CHECK, CONTROL, LEFT_OUT, Residual
 from clsplat.io.georeference.control_points import ControlPoint
 from clsplat.placement.alignment import LEAST_POSITIONS
+from clsplat.placement.plausible import NotGeoreferenced
 
 MARK_TOLERANCE = 20.0  # pixels by which a mark may miss the point that the others show
 ADJUSTED_TOLERANCE = 8.0  # pixels, RMS of the marks of a point to which the bundle is adjusted
 LEAST_ANGLE = np.radians(1.0)  # between rays; from closer ones the distance is not known
 Mark = tuple[int, float, float]  # id of a pycolmap.Image, and pixels
-
-
-class NotGeoreferenced(InputError):
-    """Why a reconstruction has no place on the earth; `expected` if nothing is wrong, and there are
-    simply too few positions."""
-
-    def __init__(self, why: str, expected: bool = False) -> None:
-        super().__init__(why)
-        self.expected = expected
 
 
 @dataclass(frozen=True, eq=False)

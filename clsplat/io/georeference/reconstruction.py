@@ -12,18 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from clsplat.georeference import CHECK, CONTROL, LEFT_OUT, Georeference, Residual
-from clsplat.io.georeference.adjustment import (
-    Located,
-    NotGeoreferenced,
-    adjust,
-    locate,
-    residuals,
-)
+from clsplat.io.georeference.adjustment import Located, adjust, locate, residuals
 from clsplat.io.georeference.control_points import ControlPoints
 from clsplat.io.georeference.crs import UTM_EPSG, heights_of, horizontal, map_positions, outside
 from clsplat.io.photos.metadata import PhotoMetadata
-from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, LEAST_POSITIONS, Alignment
-from clsplat.placement.plausible import Guess, Implausible, believed, doubts
+from clsplat.placement.alignment import LEAST_POSITIONS, Alignment
+from clsplat.placement.plausible import Guess, NotGeoreferenced, believed, doubts
 from clsplat.placement.up import UP, Vertical, gimbal_up
 
 LEAST_GIMBALS = 0.5  # share of the photos whose gimbals must be known
@@ -84,8 +78,10 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     used = [item for item in located if not item.point.is_check]
     measured = (_by_control(used, lost, control) if control.points else
                 _by_gps(images, metadata, control.crs or None))
-    result = _believed(measured, known_up)
-    if control.points:
+    is_control = bool(control.points)
+    result = believed(measured.places, measured.positions, known_up, measured.guesses,
+                      std=measured.std, is_control=is_control)
+    if is_control:
         require_near_gps(result, images, metadata, measured.crs)
     centres = np.array([image.projection_center() for image in images])
     ground = np.median(result.similarity(points if len(points) else centres), axis=0)
@@ -93,13 +89,11 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     reconstruction.transform(pycolmap.Sim3d(
         result.similarity.scale, pycolmap.Rotation3d(result.similarity.rotation),
         result.similarity.translation - offset))
-    if control.points:
+    if is_control:
         used = (adjust(reconstruction, used, offset, keep_focal) if adjusts else
                 [item for item, right in zip(used, result.used & result.used_heights) if right])
         found = residuals(reconstruction, located, used, offset)
         source, errors, notes = _by_residuals(found, lost, adjusts)
-        warnings = doubts(result, measured.positions, known_up, "the surveyed area",
-                          residuals=errors, heights_count=True)
     else:
         away = np.round(result.similarity(measured.places) - measured.positions, 4)
         found = tuple(
@@ -114,11 +108,11 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
         height = f", {result.vertical:.2f} m in height" * bool(np.isfinite(result.vertical))
         notes = [f"georeferenced by the {source}: residual {result.horizontal:.2f} m along the "
                  f"ground{height}"]
-        warnings = doubts(result, measured.positions, known_up, "the flight")
+    warnings = doubts(result, measured.positions, known_up, errors, is_control)
     east, north, height_of_origin = offset.tolist()
     return Placed(Georeference(
         measured.crs, (east, north, height_of_origin), source, errors[0],
-        "gcp" if control.points else "gps", round(result.size, 3), measured.vertical, found,
+        "gcp" if is_control else "gps", round(result.size, 3), measured.vertical, found,
         tuple(warnings)), UP, (*control.notes, *notes, *measured.notes), tuple(warnings))
 
 
@@ -161,7 +155,6 @@ class _Measured:
     vertical: str
     std: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
-    is_control: bool = False
 
 
 def _by_control(located: Sequence[Located], lost: Sequence[str], control: ControlPoints
@@ -189,7 +182,7 @@ def _by_control(located: Sequence[Located], lost: Sequence[str], control: Contro
                Guess("are heights in feet?", positions * (1, 1, FOOT))]
     return _Measured([item.point.name for item in located],
                      np.array([item.place for item in located]), positions, guesses, crs,
-                     control.vertical, is_control=True)
+                     control.vertical)
 
 
 def _by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: str | None
@@ -256,20 +249,6 @@ def _listed(names: Sequence[str]) -> str:
     """Some names, and how many others there are."""
     rest = len(names) - SHOWN
     return ", ".join(names[:SHOWN]) + (f" and {rest} others" if rest > 0 else "")
-
-
-def _believed(measured: _Measured, known_up: Vertical) -> Alignment:
-    is_control = measured.is_control
-    try:
-        return believed(
-            measured.places, measured.positions, known_up, measured.guesses, std=measured.std,
-            independent_heights=len(measured.names) if is_control else INDEPENDENT_HEIGHTS,
-            heights_count=is_control)
-    except Implausible as error:
-        kind = "--gcp: the ground control points" if is_control else "the photos' GPS positions"
-        cure = "" if str(error).endswith("?") else "; check the coordinates" + (
-            ", the CRS and the marks" if is_control else "")
-        raise NotGeoreferenced(f"{kind} {error}{cure}") from None
 
 
 def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool

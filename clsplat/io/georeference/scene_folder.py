@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.folders import make_folder
-from clsplat.io.georeference.adjustment import NotGeoreferenced, check_marks
+from clsplat.io.georeference.adjustment import check_marks
 from clsplat.io.georeference.control_points import read_control_points
 from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
@@ -20,6 +20,7 @@ from clsplat.io.georeference.reconstruction import Placed, place_reconstruction
 from clsplat.io.photos.metadata import read_metadata
 from clsplat.io.scenes.colmap import read_model, read_reconstruction, write_reconstruction
 from clsplat.io.scenes.sources import photo_folder
+from clsplat.placement.plausible import NotGeoreferenced
 
 SPARSE = "sparse"
 

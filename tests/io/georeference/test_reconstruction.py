@@ -9,12 +9,12 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.io.georeference.adjustment import NotGeoreferenced
 from clsplat.io.georeference.control_points import ControlPoint, ControlPoints
 from clsplat.io.georeference.crs import normal_crs
 from clsplat.io.georeference.reconstruction import place_reconstruction, turned
 from clsplat.io.photos.metadata import PhotoMetadata
 from clsplat.io.scenes.colmap_files import write_colmap
+from clsplat.placement.plausible import NotGeoreferenced
 from clsplat.scene import View
 from tests.data.survey import CRS, Survey
 
