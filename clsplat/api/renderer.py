@@ -17,7 +17,7 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.photos.images import encode_image
 from clsplat.rendering import pipeline
 from clsplat.rendering.blend import MOST_CHANNELS
-from clsplat.rendering.slabs import OpenedRenderer, SlabFrame, gaussian_limit, open_model
+from clsplat.rendering.slabs import ModelRenderer, SlabFrame, gaussian_limit, open_model
 from clsplat.scene import NEAR_SHARE
 from clsplat.training.capacity import FrameCapacity
 
@@ -64,7 +64,7 @@ def render(model: Gaussians, camera: Camera | None = None, *,
     return frames[0] if cameras is None else frames
 
 
-def _frames(opened: OpenedRenderer, rows: Any, cameras: list[Camera], model: Gaussians,
+def _frames(opened: ModelRenderer, rows: Any, cameras: list[Camera], model: Gaussians,
             depth: bool) -> Iterator[pipeline.Frame | SlabFrame]:
     """The frames of cameras. Those after the first have the room that frames before them needed,
     so that nothing waits; if that is too little, a frame is rendered again."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +18,6 @@ from clsplat.report.notebook import scene_page, view_card
 
 class View(scene.View):
     __doc__ = scene.View.__doc__
-
-    @classmethod
-    def of(cls, view: scene.View) -> View:
-        """The same view as an object of this class.
-
-        Parameters
-        ----------
-        view : of a scene.
-        """
-        return view if isinstance(view, cls) else cls(**_attributes(view))
 
     def photo(self) -> NDArray[np.uint8]:
         """Read the photo.
@@ -73,7 +63,8 @@ class Scene(scene.Scene):
         """
         if isinstance(data, cls):
             return data
-        return cls(**{**_attributes(data), "views": tuple(map(View.of, data.views))})
+        named = {each.name: getattr(data, each.name) for each in fields(data)}
+        return cls(**{**named, "views": tuple(View(**vars(view)) for view in data.views)})
 
     @classmethod
     def read(cls, path: str | PathLike[str], images: str = "") -> Scene:
@@ -97,8 +88,3 @@ class Scene(scene.Scene):
 
     def _repr_html_(self) -> str:
         return scene_page(self)
-
-
-def _attributes(noun: scene.View | scene.Scene) -> dict[str, Any]:
-    """The fields of a view or scene by name."""
-    return {each.name: getattr(noun, each.name) for each in fields(noun)}

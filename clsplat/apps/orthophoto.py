@@ -23,7 +23,7 @@ from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.evaluation.run import Run
 from clsplat.rendering.project import LOW_PASS
-from clsplat.rendering.slabs import ModelRenderer, open_model
+from clsplat.rendering.slabs import open_model
 from clsplat.scene import Scene
 
 MEDIAN, FIRST = 50, 90  # per cent of the light that still passes, at the depths that are drawn
@@ -45,10 +45,9 @@ class MapPainter:
         model, options = run.finished_model, run.options
         # splats were trained with a low-pass of so many pixels of the photos: they keep their size
         finer = max(1.0, ground_resolution(scene) / grid.resolution)
-        renderer, self._rows = open_model(
+        self._renderer, self._rows = open_model(
             device, model, 0.0, options.antialiased, options.background, orthographic=True,
-            depth_percent=MEDIAN, low_pass=LOW_PASS * finer**2)
-        self._renderers: list[ModelRenderer] = [renderer, renderer.at_percent(FIRST)]
+            low_pass=LOW_PASS * finer**2)
         self._model, self._grid, self._scene = model, grid, scene
         self._cameras = [view.camera for view in scene.views]
         self._step = 2.0 ** np.floor(np.log2(grid.resolution / FINENESS))
@@ -67,9 +66,10 @@ class MapPainter:
         floor of the map.
         """
         camera = self._grid.camera(column, row)
-        frame, first = (renderer.render(
-            self._rows, renderer.pack(camera.shifted(self._model.offset)), TILE, TILE,
-            self._model.sh_degree, with_depth=True) for renderer in self._renderers)
+        packed = self._renderer.pack(camera.shifted(self._model.offset))
+        frame, first = (self._renderer.render(
+            self._rows, packed, TILE, TILE, self._model.sh_degree, with_depth=True,
+            depth_percent=percent) for percent in (MEDIAN, FIRST))
         covered = 1 - frame.blended.transmittance.download()
         heights, highest = (
             np.round((self._grid.ceiling - median_filter(each.blended.depth.download(), SPECK,

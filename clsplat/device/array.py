@@ -82,10 +82,6 @@ class Array:
             cl.enqueue_copy(self.device.queue, host, self.buffer)
         return host
 
-    def reading(self) -> Reading:
-        """Begin to copy to the host, after everything queued before; does not wait."""
-        return Reading(self)
-
     def write(self, values: ArrayLike, first_row: int = 0) -> None:
         """Overwrite rows from `first_row` on with host values of the same row shape."""
         values = np.ascontiguousarray(values, self.dtype)
@@ -104,7 +100,8 @@ class Array:
 
 
 class Reading:
-    """A copy of an Array's values at one point of the queue, which is on its way."""
+    """A copy of an Array's values at one point of the queue, which is on its way to the host: to
+    begin it does not wait."""
 
     def __init__(self, array: Array) -> None:
         self._host: NDArray[Any] = np.empty(array.shape, array.dtype)

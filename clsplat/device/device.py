@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, DTypeLike
 from clsplat.device.array import Arena, Array, Block
 from clsplat.device.capabilities import probe_capabilities, probe_wave, tuning_of
 from clsplat.device.graph import Graph
-from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Defines, Kernel
+from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Defines, Kernel
 from clsplat.device.programs import build, define_options, kernel_source, words_of
 from clsplat.errors import TOO_LARGE, DeviceError, OutOfDeviceMemory
 
@@ -47,7 +47,7 @@ class Device:
     item_runs, group_size, scan_group, bucket : as for `tuning_of`, as far as the device allows.
     adjoint_group : lanes of a group of the blend adjoint, a multiple of `wave`.
     largest_buffer : bytes.
-    peak_bytes : the largest value that `memory_bytes` had whenever it was read or grew.
+    peak_bytes : the largest value that `memory_bytes` had whenever an array was made.
     build_seconds : time spent on compiling so far.
     launches : kernels and fills that were enqueued so far.
     waits : how often the host waited for the device so far.
@@ -101,9 +101,7 @@ class Device:
     @property
     def memory_bytes(self) -> int:
         """Device memory that persistent arrays and the blocks of short-lived ones use now."""
-        used: int = self._pool.managed_bytes + self._persistent_bytes
-        self.peak_bytes = max(self.peak_bytes, used)
-        return used
+        return self._pool.managed_bytes + self._persistent_bytes
 
     def empty(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
         """An uninitialised short-lived Array; dtype None is the device's real type.
@@ -134,9 +132,7 @@ class Device:
 
     def allocate(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
         """An uninitialised persistent Array, of its exact size."""
-        array = self._new(shape, dtype, self._new_block)
-        self.peak_bytes = max(self.peak_bytes, self.memory_bytes)
-        return array
+        return self._new(shape, dtype, self._new_block)
 
     def _new(self, shape: Shape, dtype: DTypeLike | None,
              allocate: Callable[[int], Block]) -> Array:
@@ -146,12 +142,14 @@ class Device:
         self.check_size(size)
         self.allocations += 1
         try:
-            return Array(self, allocate(size), shape, dtype)
+            array = Array(self, allocate(size), shape, dtype)
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise OutOfDeviceMemory(
                 f"{self.name}: {TOO_LARGE}: no memory for {size >> 20} MiB more "
                 f"({self.memory_bytes >> 20} MiB in use): use --max-gaussians or -r ({error})"
             ) from None
+        self.peak_bytes = max(self.peak_bytes, self.memory_bytes)
+        return array
 
     def _new_block(self, size: int) -> Block:
         block = Block(cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size), self._freed)
@@ -250,35 +248,34 @@ class Device:
         sizes = tuple((name, getattr(self, size)) for name, size in DEVICE_SIZES.items())
         key = kernel, defines, sizes
         if key not in self._kernels:
-            contract = kernel.contract(self, defines)
-            assert contract is not None  # it was bound
-            self._kernels[key] = self._built(kernel.file, contract, sizes + defines)
+            start = time.perf_counter()
+            self._kernels[key] = self._built(kernel, sizes + defines)
+            self.build_seconds += time.perf_counter() - start
         return self._kernels[key]
 
-    def _built(self, file: str, kernel: Contract, defines: Defines) -> cl.Kernel:
-        start = time.perf_counter()
+    def _built(self, kernel: Kernel, defines: Defines) -> cl.Kernel:
+        file, contract = kernel.file, kernel.contract(self, defines)
         # without what the source does not name, which would compile the same program again
         defines = tuple((name, value) for name, value in defines if name in words_of(file))
-        kernels = [contract for other in Kernel.declared[file]
-                   if (contract := other.contract(self, defines))]
-        key = file, defines, len(kernels)
+        contracts = [other.contract(self, defines) for other in Kernel.declared[file]
+                     if other.forms.of(self)]
+        key = file, defines, len(contracts)
         if key not in self._programs:
             options = self._base_options + define_options(defines)
             try:
                 with warnings.catch_warnings():  # runtimes warn of every successful build
                     warnings.simplefilter("ignore", cl.CompilerWarning)
                     self._programs[key] = build(self.context, self.handle, kernel_source(file),
-                                                options, kernels)
+                                                options, contracts)
             except cl.Error as error:
                 raise DeviceError(f"{self.name}: {file} does not build:\n{error}") from None
         built = cl.Kernel(self._programs[key], kernel.function)
-        kernel.check_built(built)
+        contract.check_built(built)
         # the type of each argument that is a number, None for arrays
         scalars = [self._dtypes[a] if isinstance(a, str) else None
-                   for a in kernel.arguments.values()]
+                   for a in contract.arguments.values()]
         built.set_scalar_arg_dtypes(scalars)
         self._spares[built] = scalars, []
-        self.build_seconds += time.perf_counter() - start
         return built
 
     def spare_kernel(self, built: cl.Kernel) -> tuple[cl.Kernel, list[cl.Kernel]]:

@@ -123,7 +123,7 @@ class Kernel:
         own = [argument for form in self.launches if form for argument in form.arguments.items()]
         self.only = {name: argument.define for name, argument in (*arguments.items(), *own)
                      if isinstance(argument, Only)}
-        self._arguments = arguments
+        self.arguments = arguments
         self._contracts: dict[tuple[str, frozenset[str]], Contract | None] = {}
         self.forms = Forms(*(self._contract(form, frozenset(self.only.values()))
                              for form in Forms._fields))
@@ -133,16 +133,17 @@ class Kernel:
     def __repr__(self) -> str:
         return f"{self.function} in {self.file}"
 
-    def contract(self, device: Device, defines: Defines) -> Contract | None:
-        """What the device's form has in a build with these constants; None: no such kernel."""
-        return self._contract(device.form, frozenset(
+    def contract(self, device: Device, defines: Defines) -> Contract:
+        """What the device's form has in a build with these constants."""
+        contract = self._contract(device.form, frozenset(
             name for name, value in defines if value and name in self.only.values()))
+        assert contract is not None, f"{self} has no {device.form} form"
+        return contract
 
     def _contract(self, form: str, choices: frozenset[str]) -> Contract | None:
         if (form, choices) not in self._contracts:
             launch = getattr(self.launches, form)
-            self._contracts[form, choices] = launch and Contract(
-                self.file, self.function, launch, self._arguments, choices)
+            self._contracts[form, choices] = launch and Contract(self, launch, choices)
         return self._contracts[form, choices]
 
     def bind(self, device: Device, values: Mapping[str, Any], defines: Defines = ()
@@ -165,9 +166,7 @@ class Kernel:
         if values.keys() != self.names:
             wrong = values.keys() ^ self.names
             raise ShapeError(f"{self}: missing or unknown arguments {sorted(wrong)}")
-        contract = self.contract(device, defines)
-        assert contract is not None, f"{self} has no {device.form} form"
-        return contract.bind(device, values)
+        return self.contract(device, defines).bind(device, values)
 
     def units(self, device: Device, **sizes: int) -> int:
         """The number of elements, work-items or groups of a launch with these sizes, by name."""
@@ -175,22 +174,19 @@ class Kernel:
 
 
 class Contract:
-    """One form of a Kernel, which has the same parameters, in builds with the same choices.
+    """One form of a Kernel in builds with the same choices.
 
     Parameters
     ----------
     choices : the constants on which arguments depend and which are not 0.
     """
 
-    def __init__(self, file: str, function: str, launch: Launch,
-                 arguments: Mapping[str, Argument | Only],
-                 choices: frozenset[str] = frozenset()) -> None:
-        self.file, self.function, self.launch = file, function, launch
+    def __init__(self, kernel: Kernel, launch: Launch, choices: frozenset[str]) -> None:
+        self.kernel, self.launch = kernel, launch
         self.arguments: dict[str, Argument] = {
             name: argument.argument if isinstance(argument, Only) else argument
-            for name, argument in {**arguments, **launch.arguments}.items()
+            for name, argument in {**kernel.arguments, **launch.arguments}.items()
             if not isinstance(argument, Only) or argument.define in choices}
-        self.signature = repr((function, *self.arguments.items()))
         # (name, dtype or None for the device's real, shape or None for a scalar)
         self._checks = [
             (name, None, None) if isinstance(a, str) else
@@ -205,9 +201,6 @@ class Contract:
         self._units, self._group = (self._factors(text, known)
                                     for text in (launch.units, launch.group))
 
-    def __repr__(self) -> str:
-        return f"{self.function} in {self.file}"
-
     def _factors(self, text: str, known: set[Any]) -> Factors:
         """The names or numbers and their divisors in a size; DeviceError for an unknown name."""
         factors = []
@@ -215,7 +208,7 @@ class Contract:
             parts = [int(part) if part.isdigit() else SHARED.get(part, part)
                      for part in (*word.split("/"), "1")]
             if unknown := [part for part in parts if isinstance(part, str) and part not in known]:
-                raise DeviceError(f"{self}: '{unknown[0]}' of its launch is not an argument")
+                raise DeviceError(f"{self.kernel}: '{unknown[0]}' of its launch is not an argument")
             factors.append((parts[0], parts[1]))
         return factors
 
@@ -231,14 +224,15 @@ class Contract:
                 continue
             if value.dtype != (dtype or real) and not (
                     name in self._either and value.dtype == self._either[name]):
-                raise ShapeError(f"{self}: '{name}' is {value.dtype}, expected {dtype or real}")
+                raise ShapeError(
+                    f"{self.kernel}: '{name}' is {value.dtype}, expected {dtype or real}")
             fits = len(value.shape) == len(shape)
             for axis, length in zip(shape, value.shape):
                 if sizes.setdefault(axis, length) != length:
                     fits = False
             if not fits:
                 bound = {k: v for k, v in sizes.items() if isinstance(k, str)}
-                raise ShapeError(f"{self}: '{name}' has shape {value.shape}, expected "
+                raise ShapeError(f"{self.kernel}: '{name}' has shape {value.shape}, expected "
                                  f"{shape} where {bound}")
             arguments.append(value.buffer)
         return arguments, *self._work(device, sizes)
@@ -264,16 +258,16 @@ class Contract:
         """Compare with the compiler's signature; DeviceError where arguments differ or are swapped.
         """
         if built.num_args != len(self.arguments):
-            raise DeviceError(
-                f"{self}: it has {built.num_args} arguments, {len(self.arguments)} are declared")
+            raise DeviceError(f"{self.kernel}: it has {built.num_args} arguments, "
+                              f"{len(self.arguments)} are declared")
         for index, (name, argument) in enumerate(self.arguments.items()):
             actual, kind = _signature(built, index)
             if actual is None:  # a driver that does not tell names
                 return
             declared = argument if isinstance(argument, str) else argument[0] + "*"
             if actual != name or not _same_type(kind, declared):
-                raise DeviceError(
-                    f"{self}: argument {index} is '{kind} {actual}', declared '{declared} {name}'")
+                raise DeviceError(f"{self.kernel}: argument {index} is '{kind} {actual}', "
+                                  f"declared '{declared} {name}'")
 
 
 def _product(factors: Factors, sizes: Mapping[Any, Any]) -> int:

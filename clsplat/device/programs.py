@@ -31,7 +31,7 @@ KEPT_DAYS = 60  # since its last use
 
 
 def build(context: cl.Context, device: cl.Device, source: str, options: list[str],
-          kernels: Sequence[Contract]) -> Any:
+          contracts: Sequence[Contract]) -> Any:
     """Compile a program for one device, or read it back from the cache.
 
     A binary has no names of arguments, which are needed to check a kernel's declaration. So only a
@@ -41,7 +41,7 @@ def build(context: cl.Context, device: cl.Device, source: str, options: list[str
     Parameters
     ----------
     source : without #include, since a change of an included file would not be noticed.
-    kernels : all declarations of kernels of this source.
+    contracts : all declarations of kernels of this source.
 
     Returns
     -------
@@ -51,33 +51,34 @@ def build(context: cl.Context, device: cl.Device, source: str, options: list[str
     ------
     cl.Error : the source does not compile.
     """
-    file = _file_of(device, source, options, kernels)
+    file = _file_of(device, source, options, contracts)
     if file and (content := _read(file)):
         with suppress(cl.Error):
             return cl.Program(context, [device], [content]).build(options)
     program = cl.Program(context, source).build(options)
-    if file and all(_fits(program, kernel) for kernel in kernels):
+    if file and all(_fits(program, contract) for contract in contracts):
         _keep(file, program.get_info(cl.program_info.BINARIES)[0])
     return program
 
 
-def _fits(program: cl.Program, kernel: Contract) -> bool:
+def _fits(program: cl.Program, contract: Contract) -> bool:
     """Whether a kernel is declared as the program has it, if it does: some builds lack some."""
-    if kernel.function in program.kernel_names.split(";"):
+    function = contract.kernel.function
+    if function in program.kernel_names.split(";"):
         try:
-            kernel.check_built(cl.Kernel(program, kernel.function))
+            contract.check_built(cl.Kernel(program, function))
         except DeviceError:
             return False
     return True
 
 
-def _file_of(device: cl.Device, source: str, options: list[str], kernels: Sequence[Contract]
+def _file_of(device: cl.Device, source: str, options: list[str], contracts: Sequence[Contract]
              ) -> Path | None:
     """The file of this program; None for a platform with its own cache, or a user without a home.
     """
     if device.platform.name not in PLATFORMS:
         return None
-    words = (source, options, sorted(kernel.signature for kernel in kernels),
+    words = (source, options, sorted(f"{each.kernel} {each.arguments}" for each in contracts),
              device.platform.version, device.name, device.version, device.driver_version)
     try:
         return Path.home() / ".cache" / "clsplat" / "kernels" / _digest(repr(words).encode()).hex()

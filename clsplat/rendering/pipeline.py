@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +24,6 @@ from clsplat.rendering.bin import (
 from clsplat.rendering.blend import (
     MOST_CHANNELS,
     Blended,
-    Defines,
     Exposure,
     Features,
     SplatGrads,
@@ -83,7 +81,7 @@ class Frame:
     room : None, or the sizes of the arrays, which then may be larger than V and the number of
         pairs.
     blended : the image, and its depth and transmittance.
-    with_depth : whether there is a depth channel.
+    with_depth, depth_percent : as they were for `Renderer.render`.
     features : what was blended in place of the colours; None: the colours were.
     """
 
@@ -98,6 +96,7 @@ class Frame:
     room: Room | None
     blended: Blended
     with_depth: bool
+    depth_percent: int
     features: Features | None = None
 
     @property
@@ -134,12 +133,8 @@ class Renderer:
         2024, Mip-Splatting).
     background : red, green and blue.
     orthographic : whether its cameras are; such frames have no adjoint.
-    depth_percent : the depth channel is the depth at which the transmittance falls to so many per
-        cent, in place of the sum of weight times depth, which 0 is; such frames have no adjoint.
     low_pass : added to the variances of a splat, pixels squared.
     smooth_cutoff : for tests only (cl/include/footprint.h).
-    pair_limit : pairs of tile and splat at a time; a frame that has more is rendered in bands, to
-        the same bytes. None: as many as the device has memory for (blend.py).
 
     Attributes
     ----------
@@ -148,15 +143,11 @@ class Renderer:
 
     def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,
                  background: Sequence[float] = (0.0, 0.0, 0.0), smooth_cutoff: bool = False,
-                 pair_limit: int | None = None, orthographic: bool = False,
-                 depth_percent: int = 0, low_pass: float = LOW_PASS) -> None:
+                 orthographic: bool = False, low_pass: float = LOW_PASS) -> None:
         self.device, self.near, self.smooth_cutoff = device, near, smooth_cutoff
-        self.orthographic, self.depth_percent = orthographic, depth_percent
-        self.low_pass = low_pass
-        self.pair_limit = pair_limit
+        self.orthographic, self.low_pass = orthographic, low_pass
         self.background, self.skipped = device.zeros((3,)), device.zeros((1,), np.uint32)
         self.background.write(background)
-        self._zeros: dict[int, Array] = {}  # number of channels -> the background of features
         self._project_defines = project_defines(sh_degree, antialiased, orthographic)
 
     def pack(self, camera: Camera) -> Array:
@@ -165,15 +156,10 @@ class Renderer:
             raise ValueError("a renderer is for orthographic cameras, or for pinhole cameras")
         return pack_camera(self.device, camera, self.near, self.low_pass)
 
-    def at_percent(self, depth_percent: int) -> Renderer:
-        """The same renderer for another `depth_percent`."""
-        other = copy(self)
-        other.depth_percent = depth_percent
-        return other
-
     def render(self, rows: Rows, camera: Array, width: int, height: int, sh_degree: int,
                with_depth: bool = False, room: Room | None = None, counts: Array | None = None,
-               exposure: Exposure | None = None, features: Array | None = None) -> Frame:
+               exposure: Exposure | None = None, features: Array | None = None,
+               depth_percent: int = 0) -> Frame:
         """Render gaussians from a camera.
 
         Parameters
@@ -189,6 +175,9 @@ class Renderer:
         exposure : a response, with which the frame also is `exposed`.
         features : real[N, C], blended over zeros in place of the colours, so that the image is
             real[C, H, W]; C is 1 to MOST_CHANNELS. Without an exposure.
+        depth_percent : the depth channel is the depth at which the transmittance falls to so many
+            per cent, in place of the sum of weight times depth, which 0 is; such frames have no
+            adjoint.
         """
         device = self.device
         counts = new_counts(device) if counts is None else counts
@@ -218,16 +207,16 @@ class Renderer:
         blended, of_visible = None, None if features is None else Features(features, visible)
         for band in bands:
             blended = blend(device, splats, pairs or binned(band), width, height,
-                            self._background(of_visible), self._blend_defines(with_depth),
-                            blended, exposure, of_visible)
+                            self._background(of_visible),
+                            blend_defines(with_depth, self.smooth_cutoff, depth_percent), blended,
+                            exposure, of_visible)
         assert blended is not None  # an image has at least one band
         return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
-                     with_depth, of_visible)
+                     with_depth, depth_percent, of_visible)
 
     def most_pairs(self, width: int, height: int, with_depth: bool) -> int:
-        """The largest number of pairs that a band of a frame may have."""
-        if self.pair_limit is not None:
-            return self.pair_limit
+        """The largest number of pairs that a band of a frame may have; a frame that has more is
+        rendered in bands, to the same bytes."""
         return pair_limit(self.device, width, height, with_depth)
 
     def measure(self, rows: Rows, camera: Array, width: int, height: int
@@ -264,7 +253,7 @@ class Renderer:
         grad_depth, grad_transmittance : real[H, W], for a frame with depth; None: zero.
         frozen, statistics, masked, with_pose : as for `project_adjoint`.
         """
-        if self.orthographic or self.depth_percent:
+        if self.orthographic or frame.depth_percent:
             raise ValueError("orthographic frames and depths at some light have no adjoint")
         device, zero = self.device, None
         if frame.with_depth and (grad_depth is None or grad_transmittance is None):
@@ -287,8 +276,8 @@ class Renderer:
                      grads: tuple[Array, Array | None, Array | None],
                      earlier: Array | None) -> SplatGrads:
         """The gradients of a band, after those of earlier bands."""
-        device, defines = self.device, self._blend_defines(frame.with_depth)
-        background = self._background(frame.features)
+        device, background = self.device, self._background(frame.features)
+        defines = blend_defines(frame.with_depth, self.smooth_cutoff)
         if pairs is not frame.pairs and pairs.bucket_tiles is not None:  # for the checkpoints
             width, height = frame.size
             blend(device, frame.splats, pairs, width, height, background, defines,
@@ -300,10 +289,4 @@ class Renderer:
         """The background: real[3], or of features real[C] of zeros."""
         if features is None:
             return self.background
-        channels = features.rows.shape[1]
-        if channels not in self._zeros:
-            self._zeros[channels] = self.device.zeros((channels,))
-        return self._zeros[channels]
-
-    def _blend_defines(self, with_depth: bool) -> Defines:
-        return blend_defines(with_depth, self.smooth_cutoff, self.depth_percent)
+        return self.device.zeros((features.rows.shape[1],))

@@ -17,7 +17,6 @@ mostly far smaller.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -56,15 +55,8 @@ class ModelRenderer(Protocol):
         """The camera as `render` expects it."""
 
     def render(self, rows: Any, camera: Any, width: int, height: int, sh_degree: int, /,
-               with_depth: bool = False) -> Frame | SlabFrame:
+               with_depth: bool = False, *, depth_percent: int = 0) -> Frame | SlabFrame:
         """Render the model from a packed camera."""
-
-
-class OpenedRenderer(ModelRenderer, Protocol):
-    """What `open_model` returns."""
-
-    def at_percent(self, depth_percent: int, /) -> ModelRenderer:
-        """The same renderer for another `depth_percent`."""
 
 
 class SlabParts(Protocol):
@@ -89,14 +81,12 @@ def gaussian_limit(device: Device, sh_degree: int) -> int:
 
 def open_model(device: Device, gaussians: Gaussians, near: float, antialiased: bool = False,
                background: Sequence[float] = (0.0, 0.0, 0.0), *, orthographic: bool = False,
-               depth_percent: int = 0, low_pass: float = LOW_PASS
-               ) -> tuple[OpenedRenderer, Any]:
+               low_pass: float = LOW_PASS) -> tuple[ModelRenderer, Any]:
     """Prepare finished gaussians for rendering.
 
     Parameters
     ----------
-    device, near, antialiased, background, orthographic, depth_percent, low_pass : as for
-        `pipeline.Renderer`.
+    device, near, antialiased, background, orthographic, low_pass : as for `pipeline.Renderer`.
     gaussians : the model, of any size.
 
     Returns
@@ -106,11 +96,9 @@ def open_model(device: Device, gaussians: Gaussians, near: float, antialiased: b
     settings = device, gaussians.sh_degree, near, antialiased, background
     limit = gaussian_limit(device, gaussians.sh_degree)
     if gaussians.count > limit:
-        return (SlabRenderer(*settings, limit, orthographic, depth_percent, low_pass),
-                Parts.of(gaussians.rows))
+        return SlabRenderer(*settings, limit, orthographic, low_pass), Parts.of(gaussians.rows)
     rows = {field.name: device.upload(gaussians.rows[field.name]) for field in LEARNED}
-    return Renderer(*settings, orthographic=orthographic, depth_percent=depth_percent,
-                    low_pass=low_pass), rows
+    return Renderer(*settings, orthographic=orthographic, low_pass=low_pass), rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,13 +122,11 @@ class Parts:
     @classmethod
     def of(cls, rows: dict[str, NDArray[np.floating]], size: int = PART_ROWS) -> Parts:
         """Parts of `size` consecutive rows: in a merged model, these lie in the same block."""
-        positions, log_scales = rows["positions"], rows["log_scales"]
-        firsts = np.append(np.arange(0, len(positions), size), len(positions))
-        pieces = [slice(*ends) for ends in zip(firsts, firsts[1:])]
-        low, high = (np.array([end(positions[piece], axis=0) for piece in pieces],
-                              np.float64).reshape(-1, 3) for end in (np.min, np.max))
-        largest = np.array([log_scales[piece].max() for piece in pieces], np.float64)
-        return cls(rows, firsts, low, high, np.exp(largest))
+        positions, largest = rows["positions"], rows["log_scales"].max(axis=1)
+        firsts = np.arange(0, len(positions), size)
+        low, high, scale = (end.reduceat(values, firsts).astype(np.float64) for end, values in (
+            (np.minimum, positions), (np.maximum, positions), (np.maximum, largest)))
+        return cls(rows, np.append(firsts, len(positions)), low, high, np.exp(scale))
 
     def seen(self, camera: Camera, near: float, low_pass: float = LOW_PASS) -> list[slice]:
         """Slices of the rows that a camera may see; all that `cull` would draw is in one."""
@@ -216,35 +202,26 @@ class SlabRenderer:
     device, sh_degree, near, antialiased, background, orthographic, low_pass : as for
         `pipeline.Renderer`.
     limit : gaussians of a slab; None: as many as the device has memory for.
-    depth_percent : as for `pipeline.Renderer`. In the slab where the transmittance falls that low
-        it is the depth at which that slab's own does.
     """
 
     def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,
                  background: Sequence[float] = (0.0, 0.0, 0.0), limit: int | None = None,
-                 orthographic: bool = False, depth_percent: int = 0,
-                 low_pass: float = LOW_PASS) -> None:
-        self.device, self.near, self.depth_percent = device, near, depth_percent
+                 orthographic: bool = False, low_pass: float = LOW_PASS) -> None:
+        self.device, self.near = device, near
         self.limit = limit or gaussian_limit(device, sh_degree)
         self.background = np.asarray(background, np.float64)
         self._renderer = Renderer(device, sh_degree, near, antialiased, orthographic=orthographic,
-                                  depth_percent=depth_percent, low_pass=low_pass)  # on black
+                                  low_pass=low_pass)  # on black
         self._defines = project_defines(sh_degree, antialiased, orthographic)
-
-    def at_percent(self, depth_percent: int) -> SlabRenderer:
-        """The same renderer for another `depth_percent`."""
-        other = copy(self)
-        other.depth_percent = depth_percent
-        other._renderer = self._renderer.at_percent(depth_percent)
-        return other
 
     def pack(self, camera: Camera) -> tuple[Camera, Array]:
         """The camera for `render`: in host memory, to choose the parts, and on the device."""
         return camera, self._renderer.pack(camera)
 
     def render(self, parts: SlabParts, camera: tuple[Camera, Array], width: int, height: int,
-               sh_degree: int, with_depth: bool = False) -> SlabFrame:
-        """Render a model; arguments as for `pipeline.Renderer.render`."""
+               sh_degree: int, with_depth: bool = False, depth_percent: int = 0) -> SlabFrame:
+        """Render a model; arguments as for `pipeline.Renderer.render`. A depth at a share of the
+        light is, in the slab where the transmittance falls that low, that of this slab's own."""
         host_camera, packed = camera
         real, device = self.device.real, self.device
         image, depth = np.zeros((3, height, width), real), np.zeros((height, width), real)
@@ -257,12 +234,12 @@ class SlabRenderer:
             chosen = (drawn[begin:begin + self.limit] & ROW).astype(np.int64)
             rows.clear()  # gives its memory to the next slab
             rows |= {f.name: device.upload(parts.read(f.name, chosen)) for f in LEARNED}
-            slab = self._renderer.render(rows, packed, width, height, sh_degree,
-                                         with_depth).blended
+            slab = self._renderer.render(rows, packed, width, height, sh_degree, with_depth,
+                                         depth_percent=depth_percent).blended
             image += left * slab.image.download()
             transmittance = slab.transmittance.download()
-            if with_depth and self.depth_percent:
-                found = (left > self.depth_percent / 100) & (transmittance < 1)
+            if with_depth and depth_percent:
+                found = (left > depth_percent / 100) & (transmittance < 1)
                 depth = np.where(found, slab.depth.download(), depth)
             elif with_depth:
                 depth += left * slab.depth.download()

@@ -123,21 +123,21 @@ class TreeRenderer:
         return camera
 
     def render(self, tree: Tree, camera: Camera, width: int, height: int, sh_degree: int,
-               with_depth: bool = False) -> Frame | SlabFrame:
+               with_depth: bool = False, depth_percent: int = 0) -> Frame | SlabFrame:
         """Render a tree; arguments as for `pipeline.Renderer.render`."""
         chosen = choose(tree, camera, self._pixels, self.near, self._renderer.low_pass)
         parts = NodeParts(tree, chosen)
         if not 0 < parts.count <= self._limit:
             self._rows = {}
             return self._slabs.render(parts, self._slabs.pack(camera), width, height, sh_degree,
-                                      with_depth)
+                                      with_depth, depth_percent)
         if not (self._rows and np.array_equal(chosen, self._chosen)):
             self._rows = {}  # gives its memory to the new ones
             self._rows = {name: self.device.upload(parts.read(name, slice(0, parts.count)))
                           for name in ORDER}
             self._chosen = chosen
         return self._renderer.render(self._rows, self._renderer.pack(camera), width, height,
-                                     sh_degree, with_depth)
+                                     sh_degree, with_depth, depth_percent=depth_percent)
 
 
 def _drawn_bytes(device: Device, sh_degree: int) -> int:

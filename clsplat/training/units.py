@@ -55,7 +55,7 @@ class Units:
         # what was asked for so many units ago is there: the queue never runs dry
         if self._reading and not self._drop_done(self._reading.values()):
             self.confirm()
-        self._reading, self._since_reading = self.counts.reading(), 0
+        self._reading, self._since_reading = Reading(self.counts), 0
         self._patience *= 2
 
     def poll_soon(self) -> None:

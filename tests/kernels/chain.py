@@ -37,17 +37,21 @@ def stored_degree(case):
     return round(np.sqrt(case["rows"]["sh_rest"].shape[1] + 1)) - 1
 
 
-def renderer_of(device, case, **options):
-    return Renderer(device, stored_degree(case), case["near"], background=case["background"],
-                    **options)
+def renderer_of(device, case, pair_limit=None, **options):
+    renderer = Renderer(device, stored_degree(case), case["near"], background=case["background"],
+                        **options)
+    if pair_limit is not None:
+        renderer.most_pairs = lambda *_: pair_limit
+    return renderer
 
 
-def render(device, case, rows=None, with_depth=False, exposure=None, features=None, **options):
+def render(device, case, rows=None, with_depth=False, exposure=None, features=None,
+           depth_percent=0, **options):
     """(renderer, rows on the device, frame) of a case."""
     renderer = renderer_of(device, case, **options)
     rows = upload_rows(device, case["rows"] if rows is None else rows)
     frame = renderer.render(rows, renderer.pack(camera_of(case)), *size_of(case), case["degree"],
-                            with_depth, exposure=exposure,
+                            with_depth, exposure=exposure, depth_percent=depth_percent,
                             features=None if features is None else device.upload(features))
     return renderer, rows, frame
 

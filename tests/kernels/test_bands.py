@@ -91,7 +91,7 @@ def test_memory_that_is_refused_is_an_error_of_its_own(float_device, monkeypatch
     def refuse(size):
         raise cl.MemoryError("clCreateBuffer failed: MEM_OBJECT_ALLOCATION_FAILURE")
 
-    monkeypatch.setattr(float_device, "_new_buffer", refuse)
+    monkeypatch.setattr(float_device, "_new_block", refuse)
     with pytest.raises(OutOfDeviceMemory, match="no memory for 3 MiB more.*--max-gaussians"):
         float_device.zeros((3 << 18,))
 

@@ -48,8 +48,8 @@ def test_features_that_are_colours_make_the_same_frame(device):
     colours = np.maximum(0, 0.5 + SH_C0 * case["rows"]["sh_constant"])
     features, camera = device.upload(colours), renderer.pack(camera_of(case))
     grad, results = device.upload(cotangents(case)[0]), []
-    for limit in (None, plain.pairs.count // 2):
-        renderer.pair_limit = limit
+    for limit in (plain.pairs.count, plain.pairs.count // 2):
+        renderer.most_pairs = lambda *_, limit=limit: limit
         frame = renderer.render(rows, camera, *size_of(case), 0, features=features)
         results.append((frame, renderer.adjoint(rows, frame, grad, with_pose=True)))
     (frame, actual), (banded, same) = results

@@ -27,13 +27,13 @@ from tests.kernels.chain import (
 STOP = 1e-2
 
 
-def in_slabs(device, case, limit, rows=None, part=16, with_depth=True, **options):
+def in_slabs(device, case, limit, rows=None, part=16, with_depth=True, depth_percent=0, **options):
     """(image, depth, transmittance, number of slabs)."""
     renderer = SlabRenderer(device, stored_degree(case), case["near"],
                             background=case["background"], limit=limit, **options)
     parts = Parts.of(case["rows"] if rows is None else rows, part)
     frame = renderer.render(parts, renderer.pack(camera_of(case)), *size_of(case), case["degree"],
-                            with_depth)
+                            with_depth, depth_percent)
     return *downloaded(frame), frame.slabs
 
 
