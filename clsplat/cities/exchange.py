@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from clsplat.cities.scene import BlockScene
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
+from clsplat.io.fields import reading
 from clsplat.io.models.ply import START
 from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.records import object_of
@@ -38,7 +39,6 @@ PLACES = ("row.positions", "row.anchors")
 # arrays of what is owned -> power of a length; gradients by positions have one over a length
 LENGTHS = {"row.max_offsets": 1, "m.positions": -1, "v.positions": -2}
 READ_TOGETHER = 2  # files, so that not all of them are in memory
-DAMAGED = "damaged"
 CITY = "city"  # key of block.json, and of these files: the fingerprint of the whole scene
 
 
@@ -132,14 +132,12 @@ def _owned(block: BlockFolder, number: int, record: dict[str, Any]
     block that reads it."""
     path = block.exchanged(number)
     cure = f"remove {path.parent}, and train that block again"
-    arrays = read_npz(path, DAMAGED, cure)
-    try:
+    with reading(path, "what a block owned at an exchange", cure):
+        arrays = read_npz(path)
         frame = object_of(arrays.pop(STATE).tobytes())
         gaussians_of(arrays, record["options"]["sh_degree"])
         if not (frame["unit"] > 0 and np.shape(frame["offset"]) == (3,)):
-            raise ValueError("its frame")
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: {DAMAGED} ({error}); {cure}") from None
+            raise ValueError("its frame is none")
     if (frame.get(CITY), frame.get(START)) != (record[CITY], block.start()):
         raise InputError(f"{path}: of another city, block or partition than {block.path}; {cure}")
     return arrays, frame

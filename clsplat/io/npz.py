@@ -9,30 +9,25 @@ import numpy as np
 from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
 from numpy.typing import NDArray
 
-from clsplat.errors import InputError, reason
 from clsplat.io.regular import opened_archive
 
 
-def read_npz(path: Path, complaint: str, cure: str,
-             wanted: Callable[[str], bool] = lambda name: True) -> dict[str, NDArray[Any]]:
+def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True
+             ) -> dict[str, NDArray[Any]]:
     """Read the arrays of an .npz by name; every byte that is read is checked against its CRC.
+
+    Raises exceptions of any kind for a damaged file, see `fields.reading`.
 
     Parameters
     ----------
-    complaint, cure : of the message for a damaged file, "PATH: COMPLAINT (the reason); CURE".
     wanted : called with the name of an array, returns whether it is read.
     """
     found = {}
-    try:
-        with opened_archive(path, lambda name: wanted(name.removesuffix(".npy"))) as (
-                archive, members):
-            for name, member in members.items():
-                with archive.open(member) as stream:
-                    found[name.removesuffix(".npy")] = read_array(stream, member.file_size)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; check the path") from None
-    except Exception as error:  # zipfile and numpy raise many kinds
-        raise InputError(f"{path}: {complaint} ({reason(error)}); {cure}") from None
+    with opened_archive(path, lambda name: wanted(name.removesuffix(".npy"))) as (
+            archive, members):
+        for name, member in members.items():
+            with archive.open(member) as stream:
+                found[name.removesuffix(".npy")] = read_array(stream, member.file_size)
     return found
 
 

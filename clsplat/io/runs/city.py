@@ -220,22 +220,13 @@ class BlockFolder:
                            "give a folder CITY/blocks/NNN that `clsplat partition` wrote")
 
     def check(self) -> None:
-        """InputError if the block lacks its region, or if it lies, perhaps by a link, in a city to
-        which it does not belong."""
-        record = self.read()
-        if not (self.path / REGION).is_file():
-            raise InputError(f"{self.path / REGION}: missing from the block; remove the block, "
-                             "and run `clsplat partition` again")
-        above = {path.parents[1] for path in (self.path.absolute(), self.path.resolve())
-                 if len(path.parents) > 1}
-        for city in map(CityFolder, sorted(above)):
-            if not city.has_record:  # a block by itself, on another machine
-                continue
-            for key, value in city.identity().items():
-                if record[key] != value:
-                    raise InputError(
-                        f"{self.path}: a block of another {key} than that of {city.path}; "
-                        f"remove it, and run `clsplat partition {city.path}` again")
+        """InputError if the block lies, perhaps by a link, in a city that it is not of."""
+        record, city = self.read(), CityFolder(self.path.absolute().parent.parent)
+        # without one it is a block by itself, on another machine
+        for key, value in city.identity().items() if city.has_record else ():
+            if record[key] != value:
+                raise InputError(f"{self.path}: a block of another {key} than that of {city.path}; "
+                                 f"remove it, and run `clsplat partition {city.path}` again")
 
 
 def cropped_to_windows(scene: Scene, folder: Path) -> Scene:

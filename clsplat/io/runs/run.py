@@ -51,7 +51,7 @@ class RunFolder:
     def __init__(self, path: str | Path) -> None:
         """Use `create` or `open`."""
         self.path = Path(path)
-        self.pictures = self.path / PICTURES
+        self.pictures, self.model_path = self.path / PICTURES, self.path / MODEL
         self.undistorted = self.path / UNDISTORTED  # stays when the run is replaced
         self._metrics_whole = self._replaces = False
 
@@ -230,23 +230,15 @@ class RunFolder:
         path = self.path / CHECKPOINT
         if not self.has_checkpoint:
             raise InputError(f"{path}: no checkpoint to resume from; train without --resume")
-        complaint, cure = ("the checkpoint is damaged or cut short",
-                           "copy it again, or start the run again with --overwrite")
-        arrays = read_npz(path, complaint, cure, lambda name: name == STATE or wanted(name))
-        try:
+        cure = "copy it again, or start the run again with --overwrite"
+        with reading(path, "a checkpoint", cure):
+            arrays = read_npz(path, lambda name: name == STATE or wanted(name))
             return arrays, object_of(arrays.pop(STATE).tobytes())
-        except (KeyError, ValueError) as error:
-            raise InputError(f"{path}: {complaint} ({STATE}: {reason(error)}); {cure}") from None
 
     def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = ()
                    ) -> None:
         """Replace the finished model; see `ply.write_ply`."""
-        write_ply(self.path / MODEL, gaussians, offset, comments)
-
-    @property
-    def model_path(self) -> Path:
-        """The path of the finished model."""
-        return self.path / MODEL
+        write_ply(self.model_path, gaussians, offset, comments)
 
     @property
     def has_model(self) -> bool:

@@ -24,7 +24,7 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.io.fields import numbers, parsed, pixels, reading
-from clsplat.io.regular import open_regular, read_regular
+from clsplat.io.regular import read_regular
 from clsplat.io.scenes.posed import BROWN, FISHEYE, Optics, PosedPhoto, optics
 from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene
 from clsplat.placement.alignment import Similarity
@@ -48,13 +48,9 @@ def find_metashape(path: Path) -> Path | None:
 
 
 def _is_export(path: Path) -> bool:
-    if path.suffix.lower() != ".xml":
+    if path.suffix.lower() != ".xml" or not path.is_file():
         return False
-    try:
-        with open_regular(path) as file:
-            head = file.read(HEAD_BYTES)
-    except OSError:
-        return False
+    head = path.read_bytes()[:HEAD_BYTES]
     return b"<document" in head and b"<chunk" in head
 
 
