@@ -77,8 +77,7 @@ def merged(models: Sequence[Gaussians]) -> Gaussians:
     pieces = [model.without_spheres().with_sh_degree(degree).moved(origin) for model in models]
     for piece, model in zip(pieces, models):
         away = piece.positions.astype(np.float64) - model.positions - (model.offset - origin)
-        sigma = np.exp(np.median(model.log_scales)) if model.count else 0.0
-        if model.count and np.abs(away).max() > sigma:
+        if model.count and np.abs(away).max() > np.exp(np.median(model.log_scales)):
             raise InputError("the models lie too far apart to be merged: their coordinates would "
                              "lose more than the size of a gaussian; transform them first")
     return Gaussians({field.name: np.concatenate([piece.rows[field.name] for piece in pieces])

@@ -12,7 +12,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.models.gltf import read_glb, write_glb
 from clsplat.io.models.ply import gaussians_of, read_vertices, write_ply
-from clsplat.io.models.points import is_cloud, ply_cloud, read_las, write_las
+from clsplat.io.models.points import cloud, is_cloud, ply_points, read_las, write_las
 from clsplat.io.models.sog import META, read_sog, write_sog
 from clsplat.io.models.spz import read_spz, write_spz
 from clsplat.io.models.values import Notes
@@ -21,7 +21,7 @@ from clsplat.io.models.values import Notes
 def _read_ply(path: Path, offset: NDArray[np.float64] | None) -> tuple[Gaussians, Notes]:
     """Whatever a PLY holds: gaussians or points."""
     vertices, comments = read_vertices(path)
-    found = (ply_cloud(path, vertices, offset) if is_cloud(vertices) else
+    found = (cloud(path, *ply_points(path, vertices), offset) if is_cloud(vertices) else
              gaussians_of(path, vertices, comments, offset))
     return found, Notes.of_lines(comments)
 

@@ -41,12 +41,6 @@ def is_cloud(element: plyfile.PlyElement) -> bool:
         name.startswith(("f_dc_", "scale_", "rot_", "opacity")) for name in names)
 
 
-def ply_cloud(path: Path, element: plyfile.PlyElement, offset: NDArray[np.float64] | None
-              ) -> Gaussians:
-    """The gaussians of a PLY of points; see `models.read_model`."""
-    return _cloud(path, *ply_points(path, element), offset)
-
-
 def ply_points(path: Path, element: plyfile.PlyElement
                ) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
     """The points float64[N, 3] of vertices and, if they have any, their colours [N, 3], as they
@@ -56,12 +50,12 @@ def ply_points(path: Path, element: plyfile.PlyElement
     if not set("xyz") <= set(numbers):
         raise InputError(f"{path}: its vertices have no numbers x, y and z; give a PLY of points")
     points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
-    return points, np.stack([rows[name] for name in COLOURS], axis=1) if (
-        set(COLOURS) <= set(numbers)) else None
+    has_colours = set(COLOURS) <= set(numbers)
+    return points, np.stack([rows[name] for name in COLOURS], axis=1) if has_colours else None
 
 
-def _cloud(path: Path, points: NDArray[np.float64], colours: NDArray[np.generic] | None,
-           offset: NDArray[np.float64] | None) -> Gaussians:
+def cloud(path: Path, points: NDArray[np.float64], colours: NDArray[np.generic] | None,
+          offset: NDArray[np.float64] | None) -> Gaussians:
     """Gaussians on points in original coordinates; colours have 8 or 16 bits, or are float from 0
     to 1. Without an offset: that of points far from the origin is their middle in whole units."""
     if colours is None:
@@ -140,7 +134,7 @@ def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | N
             colours = np.stack([found[name] for name in COLOURS], axis=1)
         if crs is not None:
             _check_crs(path, header, crs)
-        return _cloud(path, points, colours if np.any(colours) else None, offset), Notes()
+        return cloud(path, points, colours if np.any(colours) else None, offset), Notes()
 
 
 def _check_crs(path: Path, header: Any, crs: str) -> None:
