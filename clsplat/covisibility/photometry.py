@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,17 +80,23 @@ def _shown_points(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.f
     """Index, pixel column and pixel row of the points in the photo that no nearer point hides, nor
     its mask. Without the test for hidden ones, walls behind roofs change the median more than
     exposure does."""
+    inside, column, row, depth = _points_inside(camera, photo, points)
+    size = -(-max(photo.shape[1:]) // OCCLUSION_CELLS)
+    cell = row // size * OCCLUSION_CELLS + column // size
+    nearest = np.full(OCCLUSION_CELLS**2, np.inf)
+    np.minimum.at(nearest, cell, depth)
+    counted = (depth <= OCCLUSION_DEPTH * nearest[cell]) & (
+        photo[3:, row, column] > 0).all(axis=0)
+    return inside[counted], column[counted], row[counted]
+
+
+def _points_inside(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.floating]
+                   ) -> tuple[NDArray[Any], ...]:
+    """Index, pixel column, pixel row and depth of the points that project into the photo."""
     _, height, width = photo.shape
     pixel, depth = camera.resized(width, height).project(points)
     inside = np.flatnonzero((depth > 0) & (pixel >= 0).all(1) & (pixel < [width, height]).all(1))
-    column, row = pixel[inside].astype(int).T
-    size = -(-max(width, height) // OCCLUSION_CELLS)
-    cell = row // size * OCCLUSION_CELLS + column // size
-    nearest = np.full(OCCLUSION_CELLS**2, np.inf)
-    np.minimum.at(nearest, cell, depth[inside])
-    counted = (depth[inside] <= OCCLUSION_DEPTH * nearest[cell]) & (
-        photo[3:, row, column] > 0).all(axis=0)
-    return inside[counted], column[counted], row[counted]
+    return inside, *pixel[inside].astype(int).T, depth[inside]
 
 
 def corner_darkening(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
@@ -167,13 +173,9 @@ def colour_disagreement(scene: Scene, views: Sequence[View], photos: Iterable[ND
 def _colours(points: NDArray[np.floating], observed: NDArray[np.integer], view: View,
              photo: NDArray[np.uint8]) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
     """The points of which a photo shows the colour, and these colours [M, 3]."""
-    _, height, width = photo.shape
-    pixel, depth = view.camera.resized(width, height).project(points[observed])
-    column, row = np.floor(pixel).astype(int).T
-    inside = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    observed, column, row = observed[inside], column[inside], row[inside]
+    inside, column, row, _ = _points_inside(view.camera, photo, points[observed])
     counted = (photo[3:, row, column] > 0).all(axis=0)
-    return observed[counted], photo[:3, row[counted], column[counted]].T / 255
+    return observed[inside[counted]], photo[:3, row[counted], column[counted]].T / 255
 
 
 def _means(group: NDArray[np.integer], values: NDArray[np.float64]) -> NDArray[np.float64]:

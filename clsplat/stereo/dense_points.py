@@ -13,7 +13,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,29 +155,30 @@ def _depth_maps(device: Device, sources: Sequence[Sequence[int]], views: Sequenc
     A view without sources or `between`, the depths of its first and last plane, has none."""
     maps = [(np.zeros(photo.shape[1:], np.float32), np.zeros(photo.shape[1:], np.bool_))
             for photo in photos]
-    done = 0
-    for some, together in _batches(sources):
-        images, sizes = device_images(device, [_grey(photos[number]) for number in together])
-        cameras = [views[number].camera for number in together]
-        for number in some:
-            planes = between[number]
-            if sources[number] and planes:
-                height, width = photos[number].shape[1:]
-                inverse, score = (values.download()[:height, :width] for values in sweep(
-                    images, sizes, cameras, together.index(number),
-                    [together.index(source) for source in sources[number]],
-                    (1 / planes[1], 1 / planes[0]), PLANES))
-                maps[number] = np.maximum(inverse, 0), score > LEAST_SCORE
-            done += 1
-            progress(done)
+    for number, compared in _compared(device, sources, views,
+                                      lambda number: _grey(photos[number])):
+        planes = between[number]
+        if sources[number] and planes:
+            height, width = photos[number].shape[1:]
+            inverse, score = (values.download()[:height, :width] for values in sweep(
+                *compared, (1 / planes[1], 1 / planes[0]), PLANES))
+            maps[number] = np.maximum(inverse, 0), score > LEAST_SCORE
+        progress(number + 1)
     return maps
 
 
-def _batches(sources: Sequence[Sequence[int]]) -> Iterator[tuple[range, list[int]]]:
-    """All views by BATCH at a time, each time with these and their source views."""
+def _compared(device: Device, sources: Sequence[Sequence[int]], views: Sequence[View],
+              image_of: Callable[[int], NDArray[np.floating]]) -> Iterator[tuple[int, Any]]:
+    """The index of each view, and the first arguments of `sweep` and `confirm` for it; the images
+    [h, w] of BATCH views and their sources are on the device at a time."""
     for first in range(0, len(sources), BATCH):
         some = range(first, min(first + BATCH, len(sources)))
-        yield some, sorted({*some, *(source for number in some for source in sources[number])})
+        together = sorted({*some, *(source for number in some for source in sources[number])})
+        images, sizes = device_images(device, [image_of(number) for number in together])
+        cameras = [views[number].camera for number in together]
+        for number in some:
+            yield number, (images, sizes, cameras, together.index(number),
+                           [together.index(source) for source in sources[number]])
 
 
 def _grey(photo: NDArray[np.uint8]) -> Floats:
@@ -191,18 +192,13 @@ def _confirmed(device: Device, sources: Sequence[Sequence[int]], views: Sequence
                maps: Sequence[DepthMap]) -> Iterator[NDArray[np.float32]]:
     """For each view the inverse depths of the pixels that become points [h, w], or 0: they look
     alike in two sources, and enough sources confirm their depth."""
-    for some, together in _batches(sources):
-        depths, sizes = device_images(device, [maps[number][0] for number in together])
-        cameras = [views[number].camera for number in together]
-        for number in some:
-            inverse, alike = maps[number]
-            if alike.any():
-                height, width = inverse.shape
-                count = confirm(depths, sizes, cameras, together.index(number),
-                                [together.index(source) for source in sources[number]],
-                                SAME_DEPTH).download()[:height, :width]
-                alike = alike & (count >= AGREEING)
-            yield np.where(alike, inverse, np.float32(0))
+    for number, compared in _compared(device, sources, views, lambda number: maps[number][0]):
+        inverse, alike = maps[number]
+        if alike.any():
+            height, width = inverse.shape
+            count = confirm(*compared, SAME_DEPTH).download()[:height, :width]
+            alike = alike & (count >= AGREEING)
+        yield np.where(alike, inverse, np.float32(0))
 
 
 def _points_of(view: View, photo: NDArray[np.uint8], inverse: NDArray[np.float32]) -> Points:
