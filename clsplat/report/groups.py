@@ -70,11 +70,7 @@ class Trained:
             return "-"
         if value is None:
             return "not recorded"
-        if isinstance(value, bool):
-            return "yes" if value else "no"
-        if isinstance(value, (str, list)) and not value:
-            return "none"
-        return value if isinstance(value, str) else json.dumps(value)
+        return (value or "none") if isinstance(value, str) else json.dumps(value)
 
 
 def read_runs(paths: Iterable[str | Path]) -> tuple[list[Trained], Path, list[str]]:

@@ -25,7 +25,7 @@ RECORDED = (("points", "points of the sparse model", ",.0f"),
             ("reprojection_error_pixels", "reprojection error, pixels", ".2f"))
 # matplotlib's "viridis", at each quarter
 RAMP = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
-GREY, NO_RESIDUAL, CROSS = (150, 155, 160), "#0072b2", "#d55e00"
+GREY, NO_RESIDUAL, RING = (150, 155, 160), "#0072b2", "#d55e00"
 CELLS = 400  # of the longer side of the picture of the points
 WIDTH = 460  # pixels, about, of the longer side of a map: decides how large its dots are
 
@@ -41,9 +41,7 @@ def survey_html(scene: Scene | None) -> str:
 
 
 def _section(survey: Survey) -> str:
-    listed = survey.record.get("not_registered")
-    missing = [(str(name), str(why)) for name, why in listed.items()] if isinstance(
-        listed, dict) else []
+    missing = list(survey.record.get("not_registered", {}).items())
     unused = Table("", ("photo", "reason"), missing[:MOST_ROWS],
                    notes=_more(len(missing), "photos", "sfm.json"))
     return headed(
@@ -55,9 +53,9 @@ def _section(survey: Survey) -> str:
 
 def warnings(survey: Survey) -> tuple[str, ...]:
     """Sentences that the reader must not miss: those of the georeference and of `clsplat sfm`."""
-    known, recorded = survey.georeference, survey.record.get("warnings")
-    return tuple(dict.fromkeys(map(str, (
-        *(known.warnings if known else ()), *(recorded if isinstance(recorded, list) else ())))))
+    known = survey.georeference
+    return tuple(dict.fromkeys((*(known.warnings if known else ()),
+                                *survey.record.get("warnings", ()))))
 
 
 def facts_table(survey: Survey) -> Table:
@@ -68,7 +66,7 @@ def facts_table(survey: Survey) -> Table:
 def _facts(survey: Survey) -> Iterator[tuple[str, str]]:
     known, overlap = survey.georeference, survey.overlap
     used, given = len(survey.names), survey.record.get("photos")
-    yield "photos used", f"{used:,} of {given:,}" if isinstance(given, int) else f"{used:,}"
+    yield "photos used", f"{used:,} of {given:,}" if given else f"{used:,}"
     if known is None:
         yield "georeference", "none, so sizes are not known in metres"
     else:
@@ -91,7 +89,7 @@ def _facts(survey: Survey) -> Iterator[tuple[str, str]]:
         yield "overlap", (f"{overlap.mean:.1f} photos look at a place, in the mean; fewer than "
                           f"three look at {100 * overlap.thin:.0f} % of the area")
     for key, title, form in RECORDED:
-        if isinstance(survey.record.get(key), (int, float)):
+        if survey.record.get(key) is not None:
             yield title, format(survey.record[key], form)
 
 
@@ -150,7 +148,7 @@ def _points(survey: Survey, low: NDArray[np.float64], high: NDArray[np.float64])
 
 def _cameras(survey: Survey, low: NDArray[np.float64], high: NDArray[np.float64], most: float
              ) -> str:
-    """A dot at each camera, with its name and residual, and a cross where GPS was left out."""
+    """A dot at each camera, with its name and residual, in a ring where GPS was left out."""
     size = float(np.clip(30 / len(survey.names)**0.5, 1.2, 5) * (high - low).max() / WIDTH)
     left_out = {each.name for each in survey.residuals if each.role == LEFT_OUT}
     shapes = []
@@ -159,13 +157,9 @@ def _cameras(survey: Survey, low: NDArray[np.float64], high: NDArray[np.float64]
         colour = "rgb({:.0f} {:.0f} {:.0f})".format(*_colours(np.array(residual / most))
                                                     ) if known else NO_RESIDUAL
         text = escape(f"{name}, {residual:.2g} m from its GPS" if known else name)
-        shapes.append(f'<circle cx="{x:.6g}" cy="{y:.6g}" r="{size:.4g}" fill="{colour}">'
-                      f"<title>{text}</title></circle>")
-        if name in left_out:
-            arms = 2 * size
-            shapes.append(f'<path d="M{x - arms:.6g} {y - arms:.6g}l{2 * arms:.4g} {2 * arms:.4g}'
-                          f'm{-2 * arms:.4g} 0l{2 * arms:.4g} {-2 * arms:.4g}" stroke="{CROSS}" '
-                          f'stroke-width="{0.6 * size:.4g}"><title>{text}, left out</title></path>')
+        ring = f' stroke="{RING}" stroke-width="{size:.4g}"' if name in left_out else ""
+        shapes.append(f'<circle cx="{x:.6g}" cy="{y:.6g}" r="{size:.4g}" fill="{colour}"{ring}>'
+                      f"<title>{text}{', left out' if ring else ''}</title></circle>")
     return "".join(shapes)
 
 

@@ -15,6 +15,7 @@ from clsplat.io.scenes.sources import IMAGES, PHOTO_SUFFIXES
 
 UNREAD = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2", ".heic", ".heif",
           ".avif", ".insp")
+RAW = "camera RAW and HEIC are not read: convert it to JPEG"
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".wmv")
 RECORD, UNFINISHED = "sfm.json", ".sfm"  # in the folder of a scene that was made of photos
 WRITTEN = (RECORD, UNFINISHED, OPTIONS, CITY)  # of which a folder that clsplat writes has one
@@ -91,16 +92,16 @@ def find_photos(folder: Path, masks: Path | None = None
         raise InputError(f"--masks {masks}: no such folder; give one with masks NAME.png")
     beside = [masks] if masks is not None else mask_folders(folder) if root != folder else []
     files = MaskFiles(beside, beside=masks is None)
-    photos, refused, unread, stems = [], {}, [], set()
+    photos, refused, stems = [], {}, set()
     for path in sorted(_files(root, masks), key=lambda path: path.relative_to(root).as_posix()):
-        relative = path.relative_to(root)
+        given = path.relative_to(root).as_posix()
+        name = given.encode(errors="replace").decode()
         if path.suffix.lower() in UNREAD:
-            unread.append(relative)
+            refused[name] = RAW
         if not _is_photo(path) or photo_of(path.name):
             continue
-        stems.add(relative.with_suffix(""))
-        name = relative.as_posix().encode(errors="replace").decode()
-        if name != relative.as_posix():  # two such names may look the same
+        stems.add(name.rpartition(".")[0])
+        if name != given:  # two such names may look the same
             refused[name] = "its name is not UTF-8: rename it"
             continue
         try:
@@ -113,13 +114,12 @@ def find_photos(folder: Path, masks: Path | None = None
             check_shape(mask, "mask", image_size(mask), (metadata.width, metadata.height))
         photos.append(SourcePhoto(name, path, metadata, mask))
     if len(photos) < LEAST_PHOTOS:
-        why = (f"; {len(unread)} files are camera RAW or HEIC: convert them to JPEG" if unread else
-               f"; {next(iter(refused.values()))}" if refused else "")
+        why = f"; {next(iter(refused.values()))}" if refused else ""
         raise InputError(f"{folder}: {len(photos)} photos that can be read, and a reconstruction "
                          f"needs at least {LEAST_PHOTOS}, better 20 or more{why}")
     # a camera may write each photo in both formats
-    refused |= {relative.as_posix(): "camera RAW and HEIC are not read: convert it to JPEG"
-                for relative in unread if relative.with_suffix("") not in stems}
+    refused = {name: why for name, why in refused.items()
+               if why != RAW or name.rpartition(".")[0] not in stems}
     if beside and not any(photo.mask for photo in photos):
         raise InputError(f"{'--masks ' if masks else ''}{beside[0]}: has a mask for none of the "
                          "photos; name them as the photos, with .png as the suffix or after it")

@@ -55,7 +55,7 @@ def test_runs_that_differ_by_seed_are_one_group():
 @pytest.mark.parametrize("first, second, names", [
     ({}, {}, ["sig"]),
     ({"max_gaussians": 5}, {"max_gaussians": 7}, ["max gaussians 5", "max gaussians 7"]),
-    ({"sphere": True}, {"sphere": False}, ["sphere yes", "sphere no"]),
+    ({"sphere": True}, {"sphere": False}, ["sphere true", "sphere false"]),
     ({}, {"opencl_device": "MI300"}, ["H100", "MI300"]),
     ({"commit": "a" * 40}, {"commit": "a" * 40 + "-dirty"}, ["commit aaaaaaaa",
                                                              "commit aaaaaaaa-dirty"]),
@@ -80,7 +80,7 @@ def test_options_that_a_schedule_does_not_use_are_left_out():
     longer = grouped([*runs, trained("d", schedule="sig", sphere=False, rounds=12, near=0.5,
                                      taming_budget=15.0)])
     different = equality_tables(longer)[0]
-    assert ("sphere", "yes", "-", "no") in different.rows
+    assert ("sphere", "true", "-", "false") in different.rows
 
 
 @pytest.mark.parametrize("change, words", [

@@ -11,7 +11,7 @@ from clsplat.report.figures.map import partition_map
 from tests.data.fields import cut, field, moved, world
 
 
-def drawn(method="blockgs", grid=(3, 2), counts=None, cameras=30, blind=None):
+def drawn(method="blockgs", grid=(3, 2), counts=range(6), cameras=30, blind=None):
     scene = moved(field(cameras=cameras), np.eye(3), 2.0, np.array([500.0, 40.0, 7.0]))
     seen = scene.observations[:, 1] != blind
     scene = replace(scene, observations=scene.observations[seen])

@@ -39,7 +39,7 @@ def test_masks_of_another_shape_are_refused(tmp_path):
 
 @pytest.mark.parametrize("names, masks, words", [
     (["a.jpg", "b.jpg"], None, "2 photos that can be read"),
-    (["a.heic", "b.dng"], None, "convert them to JPEG"),
+    (["a.heic", "b.dng"], None, "camera RAW and HEIC are not read"),
     (["a.jpg", "b.jpg", "c.jpg"], "elsewhere", "no such folder"),
     (["a.jpg", "b.jpg", "c.jpg"], ".", "has a mask for none of the photos"),
 ])

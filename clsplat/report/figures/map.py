@@ -25,26 +25,22 @@ MARGIN = 0.05  # share of the extent around everything, to which unbounded cells
 WIDTH, HEIGHTS = 10, (4, 14)  # inches; the height follows the map within these limits
 
 
-def write_map(file: BinaryIO, partition: Partition, scene: Scene,
-              counts: NDArray[np.integer] | None = None) -> None:
+def write_map(file: BinaryIO, partition: Partition, scene: Scene, counts: NDArray[np.integer]
+              ) -> None:
     """Write `partition_map` as PNG to a binary file."""
     with own_settings():
         partition_map(partition, scene, counts).savefig(file, format="png", dpi=110)
 
 
-def partition_map(partition: Partition, scene: Scene, counts: NDArray[np.integer] | None = None
-                  ) -> Figure:
+def partition_map(partition: Partition, scene: Scene, counts: NDArray[np.integer]) -> Figure:
     """The map of a partition, in the coordinates of `Space.map`.
 
     Parameters
     ----------
-    counts : [B], the gaussians that each block owns, written into the cells; None: sparse points.
+    counts : [B], the gaussians that each block owns, written into the cells.
     """
     points = world_of(scene, scene.points)
-    counted = "points" if counts is None else "gaussians"
     owner = partition.owner(points)
-    if counts is None:
-        counts = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
     ends = _extent(partition, scene)
     rings = [_outline(region, *ends) for region in partition.regions]
     corners = np.concatenate(rings)
@@ -67,7 +63,7 @@ def partition_map(partition: Partition, scene: Scene, counts: NDArray[np.integer
         for block in np.unique(owner[owner >= 0]):
             few = len(rings) <= MOST_LABELLED
             axes.annotate(
-                f"{block}" + few * f"\n{counts[block]:,} {counted}\n{views[block]} views",
+                f"{block}" + few * f"\n{counts[block]:,} gaussians\n{views[block]} views",
                 tuple(np.median(partition.space.map(points[owner == block]), axis=0)), ha="center",
                 va="center", fontsize=9, fontweight="bold", zorder=5,
                 path_effects=[withStroke(linewidth=3, foreground="white")])
