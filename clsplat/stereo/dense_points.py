@@ -13,17 +13,18 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.covisibility.source_views import choose_source_views, visibility
-from clsplat.device import Device
+from clsplat.device import Array, Device
 from clsplat.io.ahead import called_ahead
 from clsplat.stereo.sweep import confirm, device_images, sweep
 
 if TYPE_CHECKING:
+    from clsplat.camera import Camera
     from clsplat.scene import Scene, View
 
 SIDE = 256  # pixels: the longer side of the photos that are compared
@@ -168,7 +169,8 @@ def _depth_maps(device: Device, sources: Sequence[Sequence[int]], views: Sequenc
 
 
 def _compared(device: Device, sources: Sequence[Sequence[int]], views: Sequence[View],
-              image_of: Callable[[int], NDArray[np.floating]]) -> Iterator[tuple[int, Any]]:
+              image_of: Callable[[int], NDArray[np.floating]]
+              ) -> Iterator[tuple[int, tuple[Array, Array, list[Camera], int, list[int]]]]:
     """The index of each view, and the first arguments of `sweep` and `confirm` for it; the images
     [h, w] of BATCH views and their sources are on the device at a time."""
     for first in range(0, len(sources), BATCH):
