@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.report.page import page, script_json
+from clsplat.report.page import script_json
 from clsplat.report.scores import UPHEAVALS, Curve, Record, band, curve, is_upheaval
 from clsplat.schedule.plan import size_at
 
@@ -90,12 +90,6 @@ def drawn(description: str, chart: Callable[..., Chart | None], *arguments: obje
     return (f'<div class="{kind}" role="img" aria-label="{escape(description)}">'
             f'<script type="application/json">{data}</script></div>\n'
             + (f"<p class=note>{escape(marks)}.</p>\n" if marks else ""))
-
-
-def framed(title: str, html: str) -> str:
-    """A page with charts in a frame, for a notebook; "" without any."""
-    return html and (f'<iframe srcdoc="{escape(page(title, "", html))}" sandbox="allow-scripts" '
-                     'style="width: 100%; height: 480px; border: 0"></iframe>\n')
 
 
 def comparison_chart(groups: Mapping[str, Sequence[Sequence[Record]]], levels: Sequence[float]

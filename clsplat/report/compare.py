@@ -11,7 +11,7 @@ from clsplat.io.records import write_object
 from clsplat.io.runs.origin import origin
 from clsplat.report.charts import comparison_chart, drawn
 from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, title, warnings
-from clsplat.report.page import Table, as_utf8, folded, page, warning
+from clsplat.report.page import Table, as_utf8, page, warning
 from clsplat.report.scores import (
     COLUMNS,
     GAUSSIANS,
@@ -64,7 +64,7 @@ def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = No
     if empty:
         result["warnings"].append(f"Left out, since they have no records yet: {', '.join(empty)}.")
     final, time = final_table(result), time_table(result)
-    different, same = equality_tables(groups)
+    different = different_table(groups)
     folder = Path(folder or parent)
     make_folder(folder, "choose another --output")
     write_object(folder / "compare.json", result, indent=2)
@@ -78,14 +78,12 @@ def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = No
         "evaluations and checkpoints; colour-corrected scores come after a quadratic fit of each "
         "render's colours to its photo.",
         curves or f"<p class=note>{NO_CURVE}</p>\n", *map(warning, result["warnings"]),
-        final.html(), time.html(), different.html(), folded(same.title, same.html()),
-        made=origin())
+        final.html(), time.html(), different.html(), made=origin())
     written = folder / "compare.html"
     with replacing(written) as file:
         file.write(html.encode())
     # what matters most comes last: a terminal shows the end
     text = "\n\n".join([
-        f"{same.title}: {len(same.rows)} options and facts, at the end of {written.name}",
         different.text(), final.text(), time.text(), *([] if curves else [NO_CURVE]),
         *(f"warning: {sentence}" for sentence in result["warnings"])])
     return as_utf8(text), written
@@ -191,16 +189,13 @@ def time_table(result: Mapping[str, Any]) -> Table:
                  range(1, len(levels) + 2), TIME_NOTES)
 
 
-def equality_tables(groups: Mapping[str, Sequence[Trained]]) -> tuple[Table, Table]:
-    """The options and facts that differ between the groups, and those that are equal in all."""
+def different_table(groups: Mapping[str, Sequence[Trained]]) -> Table:
+    """The options and facts that differ between the groups."""
     runs = [group[0] for group in groups.values()]
     different = [(title(key), *(run.text(key) for run in runs)) for key in differing(runs)]
-    return (
-        Table("What differs", ("", *groups), different or [("nothing", *("" for _ in runs))],
-              notes=("Seeds, and options that change neither model nor time, are left out; -: the "
-                     "schedule does not use it.",)),
-        Table("What is equal", ("", "all runs"),
-              [(title(key), runs[0].text(key)) for key in equal(runs)]))
+    return Table("What differs", ("", *groups), different or [("nothing", *("" for _ in runs))],
+                 notes=("Seeds, and options that change neither model nor time, are left out; -: "
+                        "the schedule does not use it. compare.json has what is equal.",))
 
 
 def _of_all(values: Sequence[float | None], form: str, bound: str = "") -> str:

@@ -9,7 +9,6 @@ import re
 import zlib
 from collections.abc import Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.models.values import colours_of, morton_order, opacities, smallest_three
-from clsplat.report.page import full_name, script_json
+from clsplat.report.page import full_name, script_json, web
 from clsplat.scene import NEAR_SHARE
 
 POSITION_STEPS = 2**24 - 1  # three bytes
@@ -136,7 +135,7 @@ def filled(template: str, **values: str) -> str:
     def part(match: re.Match[str]) -> str:
         name = match[1]
         return values[name] if name in values else filled(name)
-    return PART.sub(part, (files("clsplat.report") / "web" / template).read_text("utf-8"))
+    return PART.sub(part, web(template))
 
 
 def encoded(gaussians: Gaussians) -> tuple[bytes, dict[str, Any]]:

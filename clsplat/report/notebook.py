@@ -19,9 +19,9 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.models.values import opacities
 from clsplat.io.photos.views import read_photo
 from clsplat.placement.first_view import view_from_above
-from clsplat.report.charts import drawn, framed, score_chart
+from clsplat.report.charts import drawn, score_chart
 from clsplat.report.model_page import write_page
-from clsplat.report.page import as_utf8, html_of
+from clsplat.report.page import as_utf8, html_of, page
 from clsplat.report.run import jpeg, lead
 from clsplat.report.scores import score_table
 from clsplat.report.survey import survey_maps
@@ -48,8 +48,15 @@ def run_page(run: Run) -> str:
     """A run as HTML, without head and body."""
     records = run.metrics
     title = "PSNR and SSIM over training time"
+    curves = drawn(title, score_chart, records)
     return html_of(f"<p>{escape(lead(run.record, records))}</p>",
-                   framed(title, drawn(title, score_chart, records)), score_table(records))
+                   curves and _framed(page(title, "", curves)), score_table(records))
+
+
+def _framed(page: str) -> str:
+    """A whole page in a frame."""
+    return (f'<iframe srcdoc="{escape(page)}" sandbox="allow-scripts" loading="lazy" '
+            'style="width: 100%; height: 480px; border: 0"></iframe>\n')
 
 
 def view_card(view: View) -> str:
@@ -100,12 +107,9 @@ def model_frame(gaussians: Gaussians) -> str:
         path = Path(folder) / "model.html"
         write_page(path, shown.located(np.zeros(3)), view, up, near=NEAR_SHARE * size,
                    title="model")
-        page = path.read_text("utf-8")
-    few = f"; {shown.count:,} are shown here" if (
-        shown.count < visible.count) else ""
-    return (f'<iframe srcdoc="{escape(page)}" sandbox="allow-scripts" loading="lazy" '
-            'style="width: 100%; height: 480px; border: 0"></iframe>\n'
-            f"<p>{gaussians.count:,} gaussians, SH degree {gaussians.sh_degree}{few}</p>")
+        frame = _framed(path.read_text("utf-8"))
+    few = f"; {shown.count:,} are shown here" if shown.count < visible.count else ""
+    return (f"{frame}<p>{gaussians.count:,} gaussians, SH degree {gaussians.sh_degree}{few}</p>")
 
 
 def smaller(gaussians: Gaussians) -> Gaussians:

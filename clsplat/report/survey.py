@@ -15,7 +15,6 @@ from clsplat.io.photos.images import encode_image
 from clsplat.report.page import Table, folded, headed, warning
 from clsplat.scene import Scene
 
-MOST_ROWS = 60  # of a table; more points than these are named by no one
 SHOWN = 5  # names in a sentence
 ROLES = {CONTROL: "which decided the place", CHECK: "which took no part"}
 NOTE = ("From the measured place to that in the scene. 90 % within: along the ground it is called "
@@ -42,12 +41,10 @@ def survey_html(scene: Scene | None) -> str:
 
 def _section(survey: Survey) -> str:
     missing = list(survey.record.get("not_registered", {}).items())
-    unused = Table("", ("photo", "reason"), missing[:MOST_ROWS],
-                   notes=_more(len(missing), "photos", "sfm.json"))
+    unused = Table("", ("photo", "reason"), missing)
     return headed(
-        "Survey", *(warning(f"Warning: {text}") for text in warnings(survey)), facts_table(survey),
-        survey_maps(survey),
-        _residuals_html(survey),
+        "Survey", *(warning(f"Warning: {text}") for text in warnings(survey)),
+        Table("", ("", ""), list(facts(survey))), survey_maps(survey), _residuals_html(survey),
         folded("Photos that were not used", unused.html()) if missing else "")
 
 
@@ -58,12 +55,8 @@ def warnings(survey: Survey) -> tuple[str, ...]:
                                 *survey.record.get("warnings", ()))))
 
 
-def facts_table(survey: Survey) -> Table:
+def facts(survey: Survey) -> Iterator[tuple[str, str]]:
     """A row for each fact that is known."""
-    return Table("", ("", ""), list(_facts(survey)))
-
-
-def _facts(survey: Survey) -> Iterator[tuple[str, str]]:
     known, overlap = survey.georeference, survey.overlap
     used, given = len(survey.names), survey.record.get("photos")
     yield "photos used", f"{used:,} of {given:,}" if given else f"{used:,}"
@@ -203,13 +196,8 @@ def _residuals_html(survey: Survey) -> str:
         html += "<h3>Ground control points</h3>\n" + Table(
             "", ("name", "role", "east, m", "north, m", "up, m", "pixels"),
             [(each.name, each.role, *map(_metres, (each.east, each.north, each.up)),
-              f"{each.pixels:.1f}") for each in points[:MOST_ROWS]], range(2, 6),
-            _more(len(points), "points", "georeference.json")).html()
+              f"{each.pixels:.1f}") for each in points], range(2, 6)).html()
     return html
-
-
-def _more(count: int, what: str, file: str) -> tuple[str, ...]:
-    return (f"{count - MOST_ROWS:,} more {what} are in {file}.",) if count > MOST_ROWS else ()
 
 
 def _metres(value: float | None) -> str:

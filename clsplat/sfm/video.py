@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import laplace, zoom
 
 from clsplat.errors import InputError, reason
@@ -48,7 +47,8 @@ def extract_frames(path: Path, folder: Path, count: int, progress: Progress) -> 
     shutil.rmtree(folder, ignore_errors=True)
     make_folder(folder)
     try:
-        for number, frame in enumerate(_sharpest(path, count, progress)):
+        for number, frame in enumerate(_sharpest(path, count)):
+            progress.count("taking sharp frame", number + 1, count)
             turns = round(getattr(frame, "rotation", 0) / 90)  # counter-clockwise, degrees
             write_image(folder / f"frame_{number:06d}.jpg",
                         np.rot90(frame.to_ndarray(format="rgb24"), turns), QUALITY)
@@ -57,7 +57,7 @@ def extract_frames(path: Path, folder: Path, count: int, progress: Progress) -> 
                          "to MP4") from None
 
 
-def _sharpest(path: Path, count: int, progress: Progress) -> Iterator[Any]:
+def _sharpest(path: Path, count: int) -> Iterator[Any]:
     """The sharpest frame of each of `count` windows."""
     with av.open(os.fspath(path)) as container:
         stream = container.streams.video[0]
@@ -66,18 +66,14 @@ def _sharpest(path: Path, count: int, progress: Progress) -> Iterator[Any]:
         if not total and container.duration and stream.average_rate:
             total = int(container.duration / av.time_base * stream.average_rate)
         total = max(total, count)
-
-        def judged(numbered: tuple[int, Any]) -> float:
-            progress.count("looking for sharp frames, frame", min(numbered[0] + 1, total), total)
-            return sharpness(numbered[1].to_ndarray(format="gray"))
-
         # a file may have more frames than its header claims
         for _, window in groupby(enumerate(container.decode(stream)), key=lambda numbered: min(
                 numbered[0] * count // total, count - 1)):
-            yield max(window, key=judged)[1]
+            yield max((frame for _, frame in window), key=_sharpness)
 
 
-def sharpness(grey: NDArray[Any]) -> float:
-    """The variance of the Laplacian of an image [H, W] at a small size."""
+def _sharpness(frame: Any) -> float:
+    """The variance of the Laplacian of a grey frame at a small size."""
+    grey = frame.to_ndarray(format="gray")
     factor = min(1.0, SHARPNESS_SIZE / max(grey.shape))
     return float(laplace(zoom(grey.astype(np.float32), factor, order=1)).var())

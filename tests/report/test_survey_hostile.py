@@ -12,7 +12,7 @@ from clsplat.camera import Camera
 from clsplat.evaluation.survey import spreads, survey_of
 from clsplat.georeference import Georeference, Residual
 from clsplat.report.run import write_report
-from clsplat.report.survey import NO_RESIDUAL, area, facts_table, length, survey_html, survey_maps
+from clsplat.report.survey import NO_RESIDUAL, area, facts, length, survey_html, survey_maps
 from clsplat.scene import Scene, View
 from tests.evaluation.test_pictures import pictures
 from tests.report.test_report import Balanced, bare_run, headings
@@ -61,7 +61,7 @@ def words_of(html):
 def test_numbers_of_a_flight_that_can_be_computed_by_hand(tmp_path):
     scene = stored(measured(flight(), vertical="EGM96 height", size=250.0), tmp_path, SFM)
     survey = survey_of(scene)
-    found = dict(facts_table(survey).rows)
+    found = dict(facts(survey))
     assert found["photos used"] == "12 of 42" and found["points of the sparse model"] == "1,200"
     assert found["ground sampling distance"] == "10 cm a pixel of the photos"  # 50 m / 500
     assert found["distance of the ground"] == "50 m from the cameras, median"
