@@ -45,11 +45,12 @@ class Checkpoint:
         arrays = {f"{kind}.{name}": values for kind, fields in kinds.items()
                   for name, values in fields.items()}
         self._check(arrays)
+        skipped = step.skipped_before + step.skipped()[0]
         state = {
             "fingerprint": self.fingerprint, "iteration": session.iteration,
             "level": session.level, **self.clock.state(), "pixel_pairs": step.pixel_pairs,
-            "skipped": step.skipped.state(), "schedule": session.schedule.state(),
-            "initial_count": session.schedule.facts.count,
+            "schedule": session.schedule.state(),
+            "skipped": {"total": skipped}, "initial_count": session.schedule.facts.count,
             "budget": self.deadline and self.deadline.state()}
         self.run.save_checkpoint(arrays, state)
 
@@ -83,7 +84,7 @@ class Checkpoint:
         for part in session.parts:
             part.load({name.partition(".")[2]: values for name, values in arrays.items()
                        if name.startswith(f"{part.name}.")}, session)
-        step.skipped.load(state["skipped"])
+        step.skipped_before = state["skipped"]["total"]
         step.pixel_pairs, session.iteration = state["pixel_pairs"], state["iteration"]
         self.clock.load(state)
         session.schedule.facts = dataclasses.replace(

@@ -33,10 +33,11 @@ from clsplat.training.checkpoint import Checkpoint, damaged, saved_gaussians
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.part import Part
-from clsplat.training.photos import THREADS, size_note
+from clsplat.training.photos import THREADS, decoded, size_note
 from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Clock, Evaluator, Recorder, broken
 from clsplat.training.session import Session
+from clsplat.training.start.initialise import first_gaussians
 from clsplat.training.start.prepare import find_warnings, is_stage, prepare
 from clsplat.training.step import Measured
 
@@ -136,8 +137,16 @@ class Training:
             scene = undistorted(with_depths(scene, options.depth), run.undistorted, THREADS)
         self._scene, self.clock = scene, Clock(device)
         progress.phase("planning")
-        self.session = Session.build(prepare(scene, options, device, parts), device, progress,
-                                     gaussians, run.path, level)
+        prepared = prepare(scene, options, device, parts)
+        self._start_seconds = 0.0
+        if gaussians is None:
+            gaussians, self._start_seconds = first_gaussians(device, prepared, progress)
+        schedule = prepared.schedule(gaussians)
+        progress.phase("reading photos")
+        for _ in decoded(prepared.test_views):
+            pass  # a damaged photo would stop the run at its evaluation
+        self.session = Session(prepared, device, gaussians, schedule, progress=progress,
+                               folder=run.path, level=level)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
         self.deadline = Deadline(self.session, self.clock, evaluation_seconds(self.session)
@@ -157,7 +166,7 @@ class Training:
                                 "decisions": session.decisions.values})
         write_placement(self.run.path, scene, first_view=True)
         self.recorded = True
-        self.clock.add(session.start_seconds)
+        self.clock.add(self._start_seconds)
         self.clock.restart()
         self.recorder.log("plan", reasons=session.decisions.reasons,
                           levels=session.schedule.levels)

@@ -23,19 +23,15 @@ ENGINES: dict[str, type[Adam]] = {"device": DeviceAdam, "numpy": NumpyAdam}
 class Model:
     """Rows of gaussians on the device, and an Adam engine whose moments follow them.
 
-    The moments are kept by `engine` "device" or "numpy"; "auto": on the device if they fit now.
+    The moments are kept by `engine` "device" or "numpy".
     `layout` is another object after each change of the arrays or of the number of gaussians.
     """
 
-    def __init__(self, device: Device, gaussians: Gaussians, engine: str = "auto") -> None:
+    def __init__(self, device: Device, gaussians: Gaussians, engine: str = "device") -> None:
         self.device, self.sh_degree = device, gaussians.sh_degree
         self.frozen: Array | None = None  # uint[count], not 0 for those that are not trained
         self.count, self.layout = gaussians.count, object()
         self._arrays = {name: device.upload(values) for name, values in gaussians.rows.items()}
-        if engine == "auto":
-            needed = model_bytes(device, self.sh_degree, self.count)
-            fits = needed < DEVICE_SHARE * device.handle.global_mem_size
-            engine = "device" if fits else "numpy"
         self.adam: Adam = ENGINES[engine](
             device, {field.name: self._arrays[field.name] for field in LEARNED})
 
@@ -77,14 +73,13 @@ class Model:
         would save no copy.
         """
         self.catch_up()
-        count = len(growth.source)
+        self.count, self.layout = len(growth.source), object()
         self.device.trim()  # frames of another number of gaussians need other sizes
         source = self.device.upload(growth.source)
-        for name, spec in self.arrays(self._arrays, self.sh_degree, count).items():
-            self._arrays[name] = gather(self.device, self._arrays[name], source,
-                                        self.device.allocate(*spec))
+        for name, old in self._arrays.items():
+            new = self.device.allocate((self.count, *old.shape[1:]))
+            self._arrays[name] = gather(self.device, old, source, new)
         self.adam.regrow(source, growth.kept)
-        self.count, self.layout = count, object()
         for name, (first, values) in growth.changes.items():
             self._arrays[name].write(values, first)
 

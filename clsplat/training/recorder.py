@@ -82,6 +82,7 @@ class Recorder:
         self.session, self.clock, self.run, self.progress = session, clock, run, progress
         self._callbacks, self.stop = tuple(callbacks), False
         self.failure: BaseException | None = None
+        self._told, self._reported = False, (0, 0)  # of skipped gradients; `Step.skipped` then
         self.upheavals: dict[str, int] = {}  # event that lowers the scores for a while -> step
 
     def _place(self) -> dict[str, Any]:
@@ -129,17 +130,19 @@ class Recorder:
 
     def _report(self, values: dict[str, float], frequency: dict[str, float] | None) -> None:
         session = self.session
-        iteration, skipped = session.iteration, session.step.skipped
+        iteration, step = session.iteration, session.step
         memory = session.device.memory_bytes
         self.progress(iteration=iteration, total=session.options.iterations, loss=values["loss"],
                       gaussians=session.step.count, memory_bytes=memory, level=session.level)
         if iteration % LOG_EVERY == 0 or iteration == 1:
-            since, requested = skipped.close()
+            skipped, computed = step.skipped()
+            since, among = skipped - self._reported[0], computed - self._reported[1]
+            self._reported = skipped, computed
             self.log("step", **values, memory_bytes=memory, peak_bytes=session.device.peak_bytes,
-                     skipped_rows=skipped.total, skipped_since=since, frequency=frequency,
+                     skipped_rows=step.skipped_before + skipped, skipped_since=since, frequency=frequency,
                      convergence=session.schedule.latest)
-            if iteration > 1 and since > TOO_MANY * requested:  # a single view proves little
-                raise broken(self.run, f"{since:,} of {requested:,} gradients were not finite in "
+            if iteration > 1 and since > TOO_MANY * among:  # a single view proves little
+                raise broken(self.run, f"{since:,} of {among:,} gradients were not finite in "
                              f"the {LOG_EVERY} steps to {iteration}")
 
     def check(self, measured: list[Measured]) -> dict[str, float]:
@@ -152,10 +155,11 @@ class Recorder:
         for name, value in values.items():
             if not np.isfinite(value):
                 raise broken(self.run, f"the {name} at step {iteration} is {value}")
-        if step.poll_skipped():
-            self.progress.message(f"step {iteration}: {step.skipped.total:,} gradients were not "
-                                  "finite and were skipped; metrics.jsonl counts them as "
-                                  "skipped_rows")
+        skipped, _ = step.skipped()
+        if skipped and not (self._told or step.skipped_before):
+            self._told = True
+            self.progress.message(f"step {iteration}: {skipped:,} gradients were not finite and "
+                                  "were skipped; metrics.jsonl counts them as skipped_rows")
         return values
 
 

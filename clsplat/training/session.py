@@ -23,9 +23,8 @@ from clsplat.training.model import Model
 from clsplat.training.part import Part, TrainingSample, ViewPass, overriding
 from clsplat.training.parts import parts_of
 from clsplat.training.parts.exposures import PhotoResponses
-from clsplat.training.photos import Photos, decoded, epoch_order
+from clsplat.training.photos import Photos, epoch_order
 from clsplat.training.progress import SilentProgress
-from clsplat.training.start.initialise import first_gaussians
 from clsplat.training.start.prepare import PreparedScene
 from clsplat.training.step import Step
 from clsplat.training.units import MOST_PENDING
@@ -58,7 +57,7 @@ class Session:
                                  options.background)
         self.photos = photos or Photos(device, self.train_views, self.schedule.levels,
                                        folder=folder, level=level)
-        self.iteration, self.level, self.start_seconds = 0, 0.0, 0.0
+        self.iteration, self.level = 0, 0.0
         self.parts = parts_of(prepared)
         for part in self.parts:
             part.begin(self)
@@ -66,23 +65,6 @@ class Session:
         self.step = Step(self.renderer, model, self.scene.extent, options, self.parts)
         self._epoch = -1, np.zeros(0, np.int64)  # the latest one, and the order of its views
         self.use_level(self.photos.level)
-
-    @classmethod
-    def build(cls, prepared: PreparedScene, device: Device, progress: SilentProgress,
-              gaussians: Gaussians | None = None, folder: Path | None = None, level: float = 0.0
-              ) -> Session:
-        """Build a session, and read all photos, held-out ones too; InputError for what cannot be
-        used. A resumed run has its gaussians and its level."""
-        gaussians, seconds = ((gaussians, 0.0) if gaussians else
-                              first_gaussians(device, prepared, progress))
-        schedule = prepared.schedule(gaussians)
-        progress.phase("reading photos")
-        for _ in decoded(prepared.test_views):
-            pass  # a damaged photo would stop the run at its evaluation
-        session = cls(prepared, device, gaussians, schedule, progress=progress, folder=folder,
-                      level=level)
-        session.start_seconds = seconds
-        return session
 
     @property
     def model(self) -> Model:

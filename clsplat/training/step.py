@@ -61,8 +61,8 @@ class Step:
         self.renderer, self._model, self.extent, self.options = renderer, model, extent, options
         self.device, self.parts = renderer.device, parts
         self._statistics = Statistics(self.device, model.count)
-        self._skipping = [part.skipped for part in parts if part.skipped is not None]
-        self.skipped = SkippedGradients(renderer.skipped, *self._skipping)
+        self._learning = [part.skipped for part in parts if part.skipped is not None]
+        self.skipped_before = 0  # gradients of the run, before this process
         self.units, self._capacity = Units(self.device), FrameCapacity(renderer)
         self._graphs: dict[Any, Graph] = {}
         self._batch: BatchMean | None = None
@@ -109,11 +109,13 @@ class Step:
         self._graphs.clear()
         self.device.trim()
 
-    def poll_skipped(self) -> bool:
-        """Update `skipped`, and tell whether the first gradients were skipped; waits."""
-        counts = self.settle()
-        by_views = int(counts[COUNT_DONE]) * len(self._skipping)  # each part has one a view
-        return self.skipped.poll(_long(counts, COUNT_SUM_VISIBLE) + by_views)
+    def skipped(self) -> tuple[int, int]:
+        """How many rows of gradients this process skipped, as they are not finite, and how many it
+        computed: rows of gaussians (cl/project.cl) and of views (cl/exposure.cl); waits."""
+        counts, counters = self.settle(), (self.renderer.skipped, *self._learning)
+        by_views = int(counts[COUNT_DONE]) * len(self._learning)  # each part has one a view
+        return (sum(int(counter.download()[0]) for counter in counters),
+                _long(counts, COUNT_SUM_VISIBLE) + by_views)
 
     # --- a step
 
@@ -311,40 +313,6 @@ class Step:
         statistics.clear(model.count)
         self._choose_room(True)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
-
-
-class SkippedGradients:
-    """Counts the gradients of a run that are not finite, whose rows the device skips: rows of
-    gaussians (cl/project.cl) and of views (cl/exposure.cl). `counters` are uint[1] on the device;
-    `total` and `requested` are those of the whole run, at the last `poll`."""
-
-    def __init__(self, *counters: Array) -> None:
-        self._counters = counters
-        self.total = self.requested = self._earlier = 0
-        self._closed = 0, 0  # total and requested, at the last `close`
-
-    def poll(self, requested: int) -> bool:
-        """Update the counts, and return whether these are the first skipped rows; waits.
-        `requested` are the rows of gradients that this process requested so far."""
-        before, self.requested = self.total, requested
-        self.total = self._earlier + sum(int(counter.download()[0]) for counter in self._counters)
-        return self.total > before == 0
-
-    def close(self) -> tuple[int, int]:
-        """(skipped, requested) rows between the last `close` and the last `poll`."""
-        since = self.total - self._closed[0], self.requested - self._closed[1]
-        self._closed = self.total, self.requested
-        return since
-
-    def state(self) -> dict[str, int]:
-        """State for a checkpoint, at the last `poll`."""
-        return {"total": self.total, "closed": self._closed[0],
-                "asked": self.requested - self._closed[1]}
-
-    def load(self, state: dict[str, int]) -> None:
-        """Restore what `state` returned."""
-        self.total = self._earlier = state["total"]
-        self._closed = state["closed"], -state["asked"]
 
 
 def _long(counts: NDArray[np.uint32], place: int) -> int:
