@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from clsplat.densify.sphere import outside
 
 if TYPE_CHECKING:
-    from clsplat.densify.options import GrowthOptions
+    from clsplat.densify.round import Round
 
-SPLIT_SIZE = 0.01  # share of the scene extent; larger gaussians are split, smaller ones cloned
 SPLIT_SHRINK = 1.6
 SHRINK = np.log(SPLIT_SHRINK)
 CHILDREN = 2
@@ -62,65 +61,23 @@ class Growth:
         return min((first for first, _ in self.changes.values()), default=len(self.source))
 
 
-class Candidates:
-    """What growth knows of N gaussians.
-
-    Parameters
-    ----------
-    rows : field name -> float32[N, *row shape], every field but the spherical harmonics (SH).
-    extent : of the scene, world units.
-    options, prunes_large : of the training; whether ones larger than `prune_size` are removed.
-
-    Attributes
-    ----------
-    largest : float32[N], the largest of the three logarithms of standard deviations, world units.
-    limit : the logarithm of the largest standard deviation that is not pruned.
-    is_small, visible : bool[N], cloned rather than split; neither transparent nor outside a sphere.
-    """
-
-    def __init__(self, rows: dict[str, NDArray[np.float32]], extent: float, options: GrowthOptions,
-                 prunes_large: bool) -> None:
-        self.rows, self.options = rows, options
-        # thresholds are taken to logarithms and logits rather than all rows from them
-        x, y, z = rows["log_scales"].T
-        self.largest = np.maximum(np.maximum(x, y), z)  # thirty times as fast as a reduction
-        limited = prunes_large and options.prune_size > 0
-        with np.errstate(divide="ignore"):  # a threshold of 0 or 1 is infinite
-            self.limit = np.log(options.prune_size * extent if limited else np.finfo(float).max)
-            self.is_small = self.largest <= np.log(np.float64(SPLIT_SIZE * extent))
-            least = np.float64(options.prune_opacity)
-            logit = np.log(least) - np.log1p(-least)
-        # false for NaN too
-        self.visible: NDArray[np.bool_] = rows["opacity_logits"] >= logit
-        if "anchors" in rows:
-            self.visible &= ~outside(rows["positions"], rows["anchors"], rows["max_offsets"],
-                                     options.sphere_reach)
-
-    @property
-    def prunes(self) -> NDArray[np.bool_]:
-        """bool[N]: transparent, outside its sphere or too large."""
-        stays: NDArray[np.bool_] = self.visible & (self.largest <= self.limit)
-        return ~stays
-
-
-def plan_growth(candidates: Candidates, grows: NDArray[np.bool_], prunes: NDArray[np.bool_],
-                rng: np.random.Generator) -> Growth:
+def plan_growth(round: Round, grows: NDArray[np.bool_], prunes: NDArray[np.bool_]) -> Growth:
     """Decide what becomes of each gaussian: clone or split those of `grows`, bool[N], remove those
     of `prunes`, bool[N]. One that is too large may still be split, if its children are small
     enough."""
-    rows, options = candidates.rows, candidates.options
-    splits = np.flatnonzero(grows & ~candidates.is_small)
-    clones = np.flatnonzero(grows & candidates.is_small & ~prunes)
+    rows, options = round.rows, round.options
+    splits = np.flatnonzero(grows & ~round.is_small)
+    clones = np.flatnonzero(grows & round.is_small & ~prunes)
     of_splits = {name: rows[name].take(splits, axis=0) for name in rows}
     # a parent that is pruned only for its size may have children
-    lives = ((candidates.visible[splits] | ~prunes[splits])
-             & (candidates.largest[splits] - SHRINK <= candidates.limit))
+    lives = ((round.visible[splits] | ~prunes[splits])
+             & (round.largest[splits] - SHRINK <= round.limit))
     keeps = np.repeat(lives, CHILDREN)
     quaternions = of_splits["quaternions"].astype(np.float64)[:, None]
     quaternions /= np.maximum(np.linalg.norm(quaternions, axis=2, keepdims=True), 1e-30)
     w, axis = quaternions[..., :1], quaternions[..., 1:]
     # drawn for every child, so that pruning one does not change the position of another
-    drawn = rng.standard_normal((len(splits), CHILDREN, 3)) * np.exp(
+    drawn = round.rng.standard_normal((len(splits), CHILDREN, 3)) * np.exp(
         of_splits["log_scales"].astype(np.float64))[:, None]
     twice = 2 * np.cross(axis, drawn)
     offsets = drawn + w * twice + np.cross(axis, twice)

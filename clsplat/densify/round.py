@@ -12,10 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.densify.grow import Candidates, Growth, plan_growth, plan_relocation
+from clsplat.densify.grow import Growth, plan_growth, plan_relocation
+from clsplat.densify.sphere import outside
 
 if TYPE_CHECKING:
     from clsplat.options import ScheduledOptions
+
+SPLIT_SIZE = 0.01  # share of the scene extent; larger gaussians are split, smaller ones cloned
 
 Floats = NDArray[np.floating]
 Mask = NDArray[np.bool_]
@@ -27,30 +30,46 @@ class Round:
     Parameters
     ----------
     iteration : number of the step before it, from 1.
-    candidates : the gaussians, and what may become of them.
-    options : of the training.
+    rows : field name -> float32[N, *row shape], every field but the spherical harmonics.
+    extent : of the scene, world units.
+    options, prunes_large : of the training; whether ones larger than `prune_size` are removed.
     frozen : bool[N], gaussians that are not trained; they stay.
     gradient : returns float[N], mean screen gradients in NDC units, and waits for the device.
     scores : makes of these the scores float[N] of Taming 3DGS, and renders views.
 
     Attributes
     ----------
-    rows : field name -> float32[N, *row shape], every field but the spherical harmonics.
     rng : draws; a resumed run draws the same numbers.
+    largest : float32[N], the largest of the three logarithms of standard deviations, world units.
+    limit : the logarithm of the largest standard deviation that is not pruned.
+    is_small, visible : bool[N], cloned rather than split; neither transparent nor outside a sphere.
     """
 
-    def __init__(self, iteration: int, candidates: Candidates, options: "ScheduledOptions",
-                 frozen: Mask, gradient: Callable[[], Floats],
-                 scores: Callable[[Floats], Floats]) -> None:
-        self.iteration, self.options, self.frozen = iteration, options, frozen
-        self.rows = candidates.rows
+    def __init__(self, iteration: int, rows: dict[str, NDArray[np.float32]], extent: float,
+                 options: "ScheduledOptions", prunes_large: bool, frozen: Mask,
+                 gradient: Callable[[], Floats], scores: Callable[[Floats], Floats]) -> None:
+        self.iteration, self.rows, self.options, self.frozen = iteration, rows, options, frozen
         self.rng = np.random.default_rng([options.seed, iteration])
-        self._candidates, self._gradient, self._scores = candidates, gradient, scores
+        self._gradient, self._scores = gradient, scores
+        # thresholds are taken to logarithms and logits rather than all rows from them
+        x, y, z = rows["log_scales"].T
+        self.largest = np.maximum(np.maximum(x, y), z)  # thirty times as fast as a reduction
+        limited = prunes_large and options.prune_size > 0
+        with np.errstate(divide="ignore"):  # a threshold of 0 or 1 is infinite
+            self.limit = np.log(options.prune_size * extent if limited else np.finfo(float).max)
+            self.is_small = self.largest <= np.log(np.float64(SPLIT_SIZE * extent))
+            least = np.float64(options.prune_opacity)
+            logit = np.log(least) - np.log1p(-least)
+        self.visible: Mask = rows["opacity_logits"] >= logit  # false for NaN too
+        if "anchors" in rows:
+            self.visible &= ~outside(rows["positions"], rows["anchors"], rows["max_offsets"],
+                                     options.sphere_reach)
 
     @cached_property
     def prunes(self) -> Mask:
         """bool[N], trained ones that are transparent, outside their sphere or too large."""
-        return self._candidates.prunes & ~self.frozen
+        stays: Mask = self.visible & (self.largest <= self.limit) | self.frozen
+        return ~stays
 
     @cached_property
     def gradient(self) -> Floats:
@@ -85,7 +104,7 @@ class Round:
     def by_score(self, room: int, prunes: Mask) -> Mask:
         """bool[N]: those above the threshold, drawn by their scores (Taming 3DGS); none is one of
         `prunes`. Clones and splits share the room in proportion to how many are eligible."""
-        scores, small = np.where(prunes, 0, self.scores), self._candidates.is_small
+        scores, small = np.where(prunes, 0, self.scores), self.is_small
         eligible = self.gradient >= self.options.grow_threshold
         keys = _drawn_keys(scores, self.rng)
         total, clones = eligible.sum(), (eligible & small).sum()
@@ -108,14 +127,13 @@ class Round:
         `grows` and `prunes` (None: those of the round) are bool[N]. One that is removed as too
         large may still be split, if its children are small enough.
         """
-        return plan_growth(self._candidates, grows, self.prunes if prunes is None else prunes,
-                           self.rng)
+        return plan_growth(self, grows, self.prunes if prunes is None else prunes)
 
     def relocate(self, added: int) -> Growth:
         """Make copies of live gaussians, in place of transparent ones and, `added` of them, beside.
         """
         return plan_relocation(self.rows["opacity_logits"], self.rows["log_scales"],
-                               ~self._candidates.visible, self.frozen, added,
+                               ~self.visible, self.frozen, added,
                                self.options.prune_opacity, self.rng)
 
 

@@ -139,8 +139,8 @@ class Recorder:
             since, among = skipped - self._reported[0], computed - self._reported[1]
             self._reported = skipped, computed
             self.log("step", **values, memory_bytes=memory, peak_bytes=session.device.peak_bytes,
-                     skipped_rows=step.skipped_before + skipped, skipped_since=since, frequency=frequency,
-                     convergence=session.schedule.latest)
+                     skipped_rows=step.skipped_before + skipped, skipped_since=since,
+                     frequency=frequency, convergence=session.schedule.latest)
             if iteration > 1 and since > TOO_MANY * among:  # a single view proves little
                 raise broken(self.run, f"{since:,} of {among:,} gradients were not finite in "
                              f"the {LOG_EVERY} steps to {iteration}")

@@ -14,7 +14,7 @@ from clsplat.constants import (
     COUNT_SUM_PAIRS,
     COUNT_SUM_VISIBLE,
 )
-from clsplat.densify.grow import Candidates, Growth
+from clsplat.densify.grow import Growth
 from clsplat.densify.round import Round
 from clsplat.densify.scores import Statistics, taming_scores
 from clsplat.device import Array, Graph
@@ -303,8 +303,8 @@ class Step:
         rows = {field.name: model.rows[field.name].download() for field in FIELDS
                 if field.name in model.rows and not field.name.startswith("sh_")}
         growth = schedule.grow(Round(
-            iteration, Candidates(rows, self.extent, self.options, plan.prunes_large), self.options,
-            frozen, statistics.mean_gradient, lambda gradient: taming_scores(
+            iteration, rows, self.extent, self.options, plan.prunes_large, frozen,
+            statistics.mean_gradient, lambda gradient: taming_scores(
                 self.renderer, model.rows, scoring_views(), plan.degree, self.options.ssim_weight,
                 gradient)))
         self.release()  # or recordings would keep the memory of frames while rows are copied

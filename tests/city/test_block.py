@@ -62,9 +62,9 @@ def rounds(monkeypatch):
     """Filled by trainings: of each round, the rows, and which gaussians grew and went."""
     seen, planned = [], growth.plan_growth
 
-    def plan_growth(candidates, grows, prunes, rng):
-        seen.append((candidates.rows, grows, prunes))
-        return planned(candidates, grows, prunes, rng)
+    def plan_growth(round, grows, prunes):
+        seen.append((round.rows, grows, prunes))
+        return planned(round, grows, prunes)
     monkeypatch.setattr(growth, "plan_growth", plan_growth)
     return seen
 

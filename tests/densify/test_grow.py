@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from clsplat.densify.grow import Candidates, plan_growth
+from clsplat.densify.grow import plan_growth
+from clsplat.densify.round import Round
 from clsplat.options import TrainOptions
 from tests.reference.project import rotations
 
@@ -25,10 +26,15 @@ def rows_of(scales, opacities, seed=0):
         "opacity_logits": np.log(opacities / (1 - opacities)).astype(np.float32)}
 
 
+def round_of(rows, prunes_large=False, seed=0, **changes):
+    """A round of growth after the step of the number of a seed."""
+    return Round(seed, rows, EXTENT, TrainOptions(**changes), prunes_large,
+                 np.zeros(len(rows["positions"]), bool), None, None)
+
+
 def growth_of(rows, moving, prunes_large=False, seed=0, **changes):
-    candidates = Candidates(rows, EXTENT, TrainOptions(prune_size=0.1, **changes), prunes_large)
-    return plan_growth(candidates, np.array(moving, bool), candidates.prunes,
-                       np.random.default_rng(seed))
+    return round_of(rows, prunes_large, seed, prune_size=0.1, **changes).densify(
+        np.array(moving, bool))
 
 
 def grown(kinds, prunes_large=False, seed=0):
@@ -102,12 +108,11 @@ def test_what_is_no_number_is_pruned_with_its_children(name, value):
 
 
 def test_what_is_spared_stays_and_what_is_not_chosen_does_not_grow():
-    """The masks decide, not the candidates' own pruning (Taming 3DGS spares half)."""
+    """The masks decide, not the round's own pruning (Taming 3DGS spares half)."""
     rows = rows_of([SMALL] * 4, [FAINT, FAINT, SOLID, SOLID])
-    candidates = Candidates(rows, EXTENT, TrainOptions(), False)
-    assert candidates.prunes.tolist() == [True, True, False, False]
-    growth = plan_growth(candidates, np.array([0, 0, 0, 1], bool), np.array([1, 0, 1, 0], bool),
-                         np.random.default_rng(0))
+    assert round_of(rows).prunes.tolist() == [True, True, False, False]
+    growth = plan_growth(round_of(rows), np.array([0, 0, 0, 1], bool),
+                         np.array([1, 0, 1, 0], bool))
     assert growth.source.tolist() == [1, 3, 3]
 
 

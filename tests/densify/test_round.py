@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import clsplat
-from clsplat.densify.grow import Candidates
 from clsplat.densify.round import Round
 from clsplat.options import TrainOptions, resolve
 from clsplat.schedule.dash import Dash
@@ -42,7 +41,7 @@ def a_round(frozen=(), transparent=(), iteration=501, **options):
             "quaternions": rng.normal(size=(COUNT, 4))}
     options = resolve({}, {"schedule": "constant", **options})
     rows = {name: values.astype(np.float32) for name, values in rows.items()}
-    return Round(iteration, Candidates(rows, 1.0, options, False), options,
+    return Round(iteration, rows, 1.0, options, False,
                  np.isin(np.arange(COUNT), frozen), lambda: GRADIENT, lambda gradient: SCORES)
 
 

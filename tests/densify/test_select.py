@@ -1,22 +1,21 @@
 """Masks of growth and pruning: which are chosen, how many, and with what probability."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from clsplat.densify.round import Round
+from clsplat.options import resolve
 
 GRADIENT = np.array([3.0, 1.0, 2.0, 3.0, 0.5, np.nan, 2.0, 0.0])
 
 
 def a_round(gradient, threshold=1.0, scores=None, small=None, prunes=None, rng=None):
     nothing = np.zeros(len(gradient), bool)
-    candidates = SimpleNamespace(rows={}, is_small=small,
-                                 prunes=nothing if prunes is None else prunes)
-    options = SimpleNamespace(seed=0, grow_threshold=threshold)
-    made = Round(1, candidates, options, nothing, lambda: gradient, lambda _: scores)
-    made.rng = rng
+    options = resolve({}, {"grow_threshold": threshold})
+    rows = {"log_scales": np.zeros((len(gradient), 3)), "opacity_logits": np.zeros(len(gradient))}
+    made = Round(1, rows, 1.0, options, False, nothing, lambda: gradient, lambda _: scores)
+    made.rng, made.is_small = rng, small
+    made.prunes = nothing if prunes is None else prunes
     return made
 
 

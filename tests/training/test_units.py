@@ -116,11 +116,11 @@ def test_steps_that_are_pending_keep_few_photos(item_device, city, tmp_path, mon
 def test_growth_decides_by_rows_that_have_caught_up(item_device, city, tmp_path, monkeypatch):
     """Adam leaves rows behind that no view sees."""
     current, behind = [], []
-    candidates, densify = steps.Candidates, Step.densify
+    made, densify = steps.Round, Step.densify
 
     def noted(*arguments):
         current.append(models[-1].adam.is_current)
-        return candidates(*arguments)
+        return made(*arguments)
 
     def before(own, *arguments):
         models.append(own._model)
@@ -128,7 +128,7 @@ def test_growth_decides_by_rows_that_have_caught_up(item_device, city, tmp_path,
         return densify(own, *arguments)
 
     models = []
-    monkeypatch.setattr(steps, "Candidates", noted)
+    monkeypatch.setattr(steps, "Round", noted)
     monkeypatch.setattr(Step, "densify", before)
     trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 35})
     assert len(current) > 1 and all(current) and any(behind)
