@@ -1,6 +1,5 @@
 """The pictures of a report: the views with the worst, the median and the best score."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -53,11 +52,8 @@ def chosen_views(per_view: Sequence[dict[str, Any]]) -> list[tuple[str, int]]:
 
     Two views are the worst and the best; one view is the "only" one.
     """
-    def score(index: int) -> float:
-        psnr: float = per_view[index]["psnr_cc"]
-        return -math.inf if math.isnan(psnr) else psnr
-
-    order = sorted(range(len(per_view)), key=score)
+    scores = np.array([of_view["psnr_cc"] for of_view in per_view])
+    order = np.argsort(np.nan_to_num(scores, nan=-np.inf), kind="stable").tolist()
     if len(order) < 2:
         return [("only", index) for index in order]
     chosen = [("worst", order[0]), ("median", order[len(order) // 2]), ("best", order[-1])]

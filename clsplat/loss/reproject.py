@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.constants import GEOMETRY_REALS, TRANSFORM_REALS
 from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
 from clsplat.loss.image_loss import is_masked
 from clsplat.primitives.reduce import sum_columns
+from clsplat.stereo.sweep import plane_warp
 
 _GRADS = dict(grad_depth=("real", "H", "W"), grad_transmittance=("real", "H", "W"))
 REPROJECT = Kernel(
@@ -38,21 +38,8 @@ def pack_pairs(device: Device, pairs: Iterable[tuple[Camera, Camera]]) -> Array:
     pixel centres at whole numbers. They are computed in float64, so that a far world origin costs
     no precision. The cameras have the sizes of the images that are compared.
     """
-    rows = np.array([_geometry(*pair) for pair in pairs])
+    rows = np.array([plane_warp(*pair, first_centre=0.0) for pair in pairs])
     return device.upload(rows.reshape(-1, GEOMETRY_REALS))
-
-
-def _geometry(camera: Camera, neighbour: Camera) -> NDArray[np.float64]:
-    rotation = neighbour.rotation @ camera.rotation.T
-    translation = neighbour.translation - rotation @ camera.translation
-    to_neighbour = _calibration(neighbour)
-    homography = to_neighbour @ rotation @ np.linalg.inv(_calibration(camera))
-    return np.concatenate([homography.reshape(-1), to_neighbour @ translation])
-
-
-def _calibration(camera: Camera) -> NDArray[np.float64]:
-    (fx, fy), (cx, cy) = camera.focal, camera.centre
-    return np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1]])
 
 
 def reproject(device: Device, depth: Array, transmittance: Array, photo: Array, neighbour: Array,

@@ -213,8 +213,5 @@ def length(metres: float) -> str:
 
 
 def area(square_metres: float) -> str:
-    """An area for people, such as 850 m², 1.9 ha or 2.40 km²."""
-    for unit, factor in (("m²", 1.0), ("ha", 1e4), ("km²", 1e6)):
-        if square_metres < 100 * factor or unit == "km²":
-            break
-    return f"{square_metres / factor:.3g} {unit}"
+    """An area for people, such as 850 m² or 1.94 ha."""
+    return f"{square_metres:.3g} m²" if square_metres < 1000 else f"{square_metres / 1e4:,.4g} ha"

@@ -55,11 +55,9 @@ def choose_pairs(database: Path, photos: Sequence[SourcePhoto], method: str, pro
             rows = _unique(near, count, BEFORE_AND_AFTER)
             return rows, (f"{len(rows):,} pairs of neighbours by GPS ({with_gps} of {count} "
                           "photos have it)")
-    is_sequence = method == "sequence"
-    rows = _unique(list(_similar(database, count, progress)), count,
-                   SEQUENCE if is_sequence else BEFORE_AND_AFTER)
-    kind = ("photos that follow each other or have similar content" if is_sequence else
-            "photos of similar content")
+    reach, kind = ((SEQUENCE, "photos that follow each other or have similar content")
+                   if method == "sequence" else (BEFORE_AND_AFTER, "photos of similar content"))
+    rows = _unique(list(_similar(database, count, progress)), count, reach)
     return rows, f"{len(rows):,} pairs of {kind}"
 
 

@@ -69,18 +69,21 @@ def _compared(device: Device, cameras: Sequence[Camera], reference: int, sources
             "warps": device.upload(np.array(warps))}
 
 
-def plane_warp(reference: Camera, source: Camera) -> NDArray[np.float64]:
+def plane_warp(reference: Camera, source: Camera, first_centre: float = 0.5
+               ) -> NDArray[np.float64]:
     """float64[12]: A [3, 3] by rows and b [3], with which the reference's pixel (x, y) at inverse
-    depth w lies at A (x, y, 1) + w b in the source, homogeneous (Gallup et al. 2007, eq. 1)."""
+    depth w lies at A (x, y, 1) + w b in the source, homogeneous (Gallup et al. 2007, eq. 1). The
+    centre of the first pixel has the coordinates `first_centre`."""
     turn = source.rotation @ reference.rotation.T
     shift = source.translation - turn @ reference.translation
-    matrix = _intrinsics(source)
-    return np.concatenate([(matrix @ turn @ np.linalg.inv(_intrinsics(reference))).ravel(),
-                           matrix @ shift])
+    matrix = _intrinsics(source, first_centre)
+    return np.concatenate([
+        (matrix @ turn @ np.linalg.inv(_intrinsics(reference, first_centre))).ravel(),
+        matrix @ shift])
 
 
-def _intrinsics(camera: Camera) -> NDArray[np.float64]:
-    (fx, fy), (cx, cy) = camera.focal, camera.centre
+def _intrinsics(camera: Camera, first_centre: float) -> NDArray[np.float64]:
+    (fx, fy), (cx, cy) = camera.focal, np.subtract(camera.centre, 0.5 - first_centre)
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
 
