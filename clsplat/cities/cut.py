@@ -3,6 +3,9 @@
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator
+from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -61,8 +64,8 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
     else:
         partition_options, drop = partition_options.decided(), None
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
-            drop = DropTest(city.device, gaussians,
-                            scene.reduced(small.downscale, small.max_resolution))
+            drop = partial(drop_changes, city.device, gaussians,
+                           scene.reduced(small.downscale, small.max_resolution))
         # citygs was no better for it, and vastgs counts cameras
         weights = counted_where(gaussians, dense) if partition_options.method == "blockgs" else 1.0
         partition = make_partition(scene, partition_options, gaussians, views, drop, weights)
@@ -177,41 +180,33 @@ def _check_same(city: CityFolder, options: PartitionOptions) -> None:
                          "remove its partition.json and blocks/, or choose another --output")
 
 
-class DropTest:
-    """1 - SSIM between renders of a view with all gaussians and with some; see `methods.citygs`.
+def drop_changes(device: Device, gaussians: Gaussians, scene: Scene,
+                 tests: Iterable[tuple[int, NDArray[np.bool_]]]) -> Iterator[float]:
+    """1 - SSIM between renders of a view with all gaussians and with some; a `DropTest`.
 
     It is that of the training loss. The device compares both renders with the full one in 8 bits,
     so what these lack is the same in both, and the difference of the two values is taken. The scene
-    is of the size of the renders, and the gaussians are in its frame."""
+    is of the size of the renders, and the gaussians are in its frame.
 
-    def __init__(self, device: Device, gaussians: Gaussians, scene: Scene) -> None:
-        self.device, self.scene, self.logits = device, scene, gaussians.opacity_logits
-        self.degree = gaussians.sh_degree
-        self.renderer = Renderer(device, self.degree, scene.near_plane)
-        self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
+    `tests` : (the index of a view, which gaussians are kept), all of a view in turn, as it is
+    rendered once in full."""
+    renderer = Renderer(device, gaussians.sh_degree, scene.near_plane)
+    rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
 
-    def __call__(self, tests: Iterable[tuple[int, NDArray[np.bool_]]]) -> Iterator[float]:
-        """The change of each view without the gaussians where `keep` [N] is false.
-
-        `tests` : (the index of a view, keep), all of a view in turn, as it is rendered once in
-        full.
-        """
-        latest, whole, itself = -1, None, 0.0
-        for index, keep in tests:
-            if latest != index:
-                image = self._render(index, self.rows)
-                whole = self.device.upload(to_bytes(255 * image.download()))
-                latest, itself = index, _ssim(image, whole)
-            logits = np.where(keep, self.logits, INVISIBLE).astype(self.logits.dtype)
-            without = {**self.rows, "opacity_logits": self.device.upload(logits)}
-            assert whole is not None
-            yield itself - _ssim(self._render(index, without), whole)
-
-    def _render(self, index: int, rows: Rows) -> Array:
+    def render(index: int, rows: Rows) -> Array:
         """real[3, H, W]: the image of a view."""
-        camera = self.scene.views[index].camera
-        return self.renderer.render(rows, self.renderer.pack(camera), camera.width, camera.height,
-                                    self.degree).image
+        camera = scene.views[index].camera
+        return renderer.render(rows, renderer.pack(camera), camera.width, camera.height,
+                               gaussians.sh_degree).image
+
+    for index, of_view in groupby(tests, itemgetter(0)):
+        image = render(index, rows)
+        whole = device.upload(to_bytes(255 * image.download()))
+        itself = _ssim(image, whole)
+        for _, keep in of_view:
+            logits = np.where(keep, gaussians.opacity_logits, np.float32(INVISIBLE))
+            without = {**rows, "opacity_logits": device.upload(logits)}
+            yield itself - _ssim(render(index, without), whole)
 
 
 def _ssim(image: Array, photo: Array) -> float:

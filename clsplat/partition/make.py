@@ -130,7 +130,7 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
     data = _Input(scene, gaussians, views, weights)
     low, high = data.content_box()
     side = np.maximum((high - low)[:2], np.finfo(float).tiny)
-    grid = options.grid or choose_grid(options.needed, side[0] / side[1])
+    grid = options.grid or choose_grid(options.blocks, side[0] / side[1])
     if options.method == "citygs":
         regions, assigned = _citygs(data, grid, options, drop)
     elif options.method == "blockgs":

@@ -100,11 +100,8 @@ class PartitionOptions:
     @property
     def blocks(self) -> int:
         """The number of blocks of --grid, or the least number of those of a chosen grid."""
-        return math.prod(self.grid) if self.grid else self.needed
-
-    @property
-    def needed(self) -> int:
-        """The least number of blocks of a chosen grid."""
+        if self.grid:
+            return math.prod(self.grid)
         if not self.block_gaussians:
             return self.least_blocks
         return max(math.ceil(self.trained / self.block_gaussians), self.least_blocks)

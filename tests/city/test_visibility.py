@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.cities.cut import DropTest
+from clsplat.cities.cut import drop_changes
 from clsplat.evaluation.metrics import ssim
 from clsplat.evaluation.views import opened, render_view
 from clsplat.gaussians import Gaussians
@@ -38,7 +38,7 @@ def test_changes_are_those_of_the_images(float_device, scene, gaussians):
     x = np.sort(gaussians.positions[:, 0])
     tests = [(index, gaussians.positions[:, 0] <= x[-last]) for index in (9, 17)
              for last in (1, 10, 30, 300, 1500, 4000)]
-    found = list(DropTest(float_device, gaussians, scene)(tests))
+    found = list(drop_changes(float_device, gaussians, scene, tests))
     exact = [1 - ssim(*(np.pad(image, ((5, 5), (5, 5), (0, 0))) for image in images(
         float_device, gaussians, scene, *test))) for test in tests]
     assert found == pytest.approx(exact, rel=0.01, abs=1e-5)
@@ -51,5 +51,5 @@ def test_a_view_that_stays_the_same_does_not_change(float_device, scene, gaussia
     behind = np.arange(gaussians.count) < 9
     camera = scene.views[3].camera
     gaussians.positions[behind] = camera.position - 5 * camera.rotation[2]
-    drop = DropTest(float_device, gaussians, scene)
-    assert list(drop([(3, ~behind), (3, behind | ~behind)])) == [0, 0]
+    tests = [(3, ~behind), (3, behind | ~behind)]
+    assert list(drop_changes(float_device, gaussians, scene, tests)) == [0, 0]
