@@ -9,10 +9,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-
 from clsplat.config.option import AUTO, differences, is_auto
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError
@@ -198,17 +194,3 @@ def find_dense_gaussians(city: City, progress: SilentProgress | None = None) -> 
     gaussians, _ = first_gaussians(city.device, prepared, progress or SilentProgress())
     write_ply(city.folder.dense, gaussians.with_sh_degree(0).scaled(prepared.scene.unit),
               city.scene.offset, sphere=True)
-
-
-def counted_where(coarse: Gaussians, dense: Gaussians | None) -> NDArray[np.float64]:
-    """How many gaussians blocks begin with, counted where the N coarse ones stand, as float64[N].
-
-    These are a coarse gaussian itself and the dense points to which it is the nearest. Blocks of
-    equal counts take about equal memory and time.
-    """
-    counts = np.ones(coarse.count)
-    if dense is not None:
-        tree = cKDTree(coarse.positions, balanced_tree=False)
-        _, nearest = tree.query(dense.positions, workers=-1)
-        counts += np.bincount(nearest, minlength=coarse.count)
-    return counts

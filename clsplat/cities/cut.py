@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.cities.block import decided_by, options_of_blocks
-from clsplat.cities.city import City, counted_where
+from clsplat.cities.city import City
 from clsplat.cities.exchange import exchange_steps, most_exchanges
 from clsplat.config.option import differences, plain
 from clsplat.device import Array, Device
@@ -66,9 +66,7 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
             drop = partial(drop_changes, city.device, gaussians,
                            scene.reduced(small.downscale, small.max_resolution))
-        # citygs was no better for it, and vastgs counts cameras
-        weights = counted_where(gaussians, dense) if partition_options.method == "blockgs" else 1.0
-        partition = make_partition(scene, partition_options, gaussians, views, drop, weights)
+        partition = make_partition(scene, partition_options, gaussians, views, drop)
         record = {**partition.record(), REQUESTED: plain(partition_options)}
         if steps_together := partition_options.joint_steps * one_run:
             # the levels and growth of one run that begins at dense points, with fewer steps

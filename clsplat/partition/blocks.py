@@ -122,7 +122,7 @@ class Clusters:
     def __init__(self, positions: NDArray[np.floating], reach: NDArray[np.floating]) -> None:
         count = len(positions)
         finite = np.isfinite(positions).all(axis=1, keepdims=True)
-        self.order = cKDTree(np.where(finite, positions, 0), CLUSTER).indices
+        self.order = cKDTree(np.where(finite, positions, 0), CLUSTER, compact_nodes=False).indices
         self._cluster, starts = np.arange(count) // CLUSTER, np.arange(0, count, CLUSTER)
         packed = np.where(finite, positions, np.nan)[self.order]
         low, high = (end.reduceat(packed, starts) if count else packed

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clsplat.covisibility.source_views import visibility
 from clsplat.errors import InputError
@@ -65,24 +65,22 @@ class _Input:
     ----------
     scene, views : the whole scene, and [V]: indices into scene.views of the training views.
     cameras : [V, 3]; the positions of these views.
-    content, weights : [M, 3]; the gaussians that are divided among the blocks, and how much each
-        counts, [M].
+    content, weights : [M, 3]; the gaussians that are divided among the blocks; [M], 1, or 0 for
+        those that are not finite.
     points : [P, 3]; the sparse points.
     observed_points, observed_views : [S]; the pairs (point, index into `views`) in which a view
         sees a point.
     rotation : [3, 3]; rows u, v (along the ground) and up.
     """
 
-    def __init__(self, scene: Scene, gaussians: Gaussians, views: NDArray[np.integer],
-                 weights: ArrayLike) -> None:
+    def __init__(self, scene: Scene, gaussians: Gaussians, views: NDArray[np.integer]) -> None:
         self.scene, self.views = scene, views
         chosen = [scene.views[index] for index in views]
         local, self.observed_points, self.observed_views = visibility(scene, chosen)
         self.points = world_of(scene, local)
         self.cameras = world_of(scene, [view.camera.position for view in chosen])
         self.content = world_of(scene, gaussians.positions)
-        self.weights: NDArray[np.float64] = np.where(
-            np.isfinite(self.content).all(axis=1), weights, 0.0)
+        self.weights = np.isfinite(self.content).all(axis=1).astype(float)
         if not self.weights.any():
             raise InputError(f"{scene.name}: there is nothing to divide among blocks, since the "
                              "coarse model has no gaussians; train it again")
@@ -115,8 +113,7 @@ class _Input:
 
 
 def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians,
-                   views: NDArray[np.integer], drop: DropTest | None = None,
-                   weights: ArrayLike = 1.0) -> Partition:
+                   views: NDArray[np.integer], drop: DropTest | None = None) -> Partition:
     """Cut a scene into blocks, and assign views to them; InputError if there are no gaussians.
 
     Parameters
@@ -125,9 +122,8 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
     gaussians : a coarse model in the scene's local frame.
     views : indices into scene.views of the training views.
     drop : see `_citygs`.
-    weights : [N], how much each gaussian counts, or of all.
     """
-    data = _Input(scene, gaussians, views, weights)
+    data = _Input(scene, gaussians, views)
     low, high = data.content_box()
     side = np.maximum((high - low)[:2], np.finfo(float).tiny)
     grid = options.grid or choose_grid(options.blocks, side[0] / side[1])

@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 
 from clsplat.cities import city as cities
-from clsplat.cities import cut
-from clsplat.cities.city import City, counted_where, find_dense_gaussians
+from clsplat.cities.city import City, find_dense_gaussians
 from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
-from clsplat.partition.make import make_partition
 from tests.city.test_city import city
 from tests.data.tiny_training import CITY, records
 
@@ -66,21 +63,9 @@ def test_they_were_requested_and_cannot_be_had(folder, scene):
         find_dense_gaussians(City(folder, alone, resolve({}, {**LONG, "init": "dense"}), None))
 
 
-def test_they_count_where_the_nearest_coarse_gaussian_stands():
-    coarse, more = (Gaussians.from_points(np.array(points, float), np.zeros((len(points), 3)), 0)
-                    for points in ([(0, 0, 0), (10, 0, 0), (0, 10, 0)],
-                                   [(1, 1, 0), (-3, 0, 0), (0, 8, 0), (0, 4, 1)]))
-    assert counted_where(coarse, more).tolist() == [4, 1, 2]
-    assert counted_where(coarse, None).tolist() == [1, 1, 1]
-
-
 @pytest.mark.nightly
-def test_blocks_begin_with_them(tmp_path, capsys, monkeypatch):
-    weights = []
-    monkeypatch.setattr(cut, "make_partition", lambda *rest: (
-        weights.append(rest[-1]), make_partition(*rest))[1])
+def test_blocks_begin_with_them(tmp_path, capsys):
     made = city(tmp_path / "dense", "--init", "dense")
-    assert weights == [1.0]
     found = read_ply(made.dense).count
     added = [block.read("dense")["dense"] for block in made.blocks()]
     assert min(added) > 100 and max(added) < found
@@ -95,9 +80,6 @@ def test_blocks_begin_with_them(tmp_path, capsys, monkeypatch):
     assert again == [path.stat().st_mtime_ns for path in (made.dense, made.block(0).initial)]
     sparse = city(tmp_path / "sparse", "--init", "sfm")
     assert not sparse.dense.exists() and "dense" not in sparse.block(0).read()
-    halves = city(tmp_path / "halves", "--init", "dense", "--method", "blockgs")
-    assert weights[-1].sum() == (read_ply(halves.dense).count
-                                 + read_ply(RunFolder(halves.coarse).model_path).count)
     merged = [records(each, "merge")[-1]["gaussians"] for each in (made, sparse)]
     assert merged[0] > merged[1] + 100
     city(tmp_path / "random", "--init", "random", code=2)

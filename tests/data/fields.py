@@ -73,14 +73,12 @@ def world(scene):
     return scene.offset + scene.unit * scene.points
 
 
-def cut(scene, method, grid=(3, 2), **changes):
-    """The Partition of a scene by a method; changes: of the options or of `make_partition`. Without
-    gaussians in them, the points are divided, each by how many views see it."""
-    views = changes.pop("views", np.arange(len(scene.views)))
-    given = {key: changes.pop(key) for key in ("gaussians", "drop", "weights") if key in changes}
-    if "gaussians" not in given:
+def cut(scene, method, grid=(3, 2), gaussians=None, views=None, drop=None, **changes):
+    """The Partition of a scene by a method, with changed options; without gaussians, of the points
+    that some view sees."""
+    views = np.arange(len(scene.views)) if views is None else views
+    if gaussians is None:
         _, seen, _ = visibility(scene, [scene.views[index] for index in views])
-        given = {**given, "gaussians": SimpleNamespace(positions=scene.points),
-                 "weights": np.bincount(seen, minlength=len(scene.points))}
+        gaussians = SimpleNamespace(positions=scene.points[np.unique(seen)])
     return make_partition(scene, PartitionOptions(method=method, grid=grid, **{**LAX, **changes}),
-                          views=views, **given)
+                          gaussians, views, drop)

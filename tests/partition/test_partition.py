@@ -86,7 +86,7 @@ def test_every_view_is_assigned_or_listed_as_dropped(method):
 
 @EACH_METHOD
 def test_a_starved_block_is_joined_to_a_neighbour(method):
-    scene = field(cameras=24)
+    scene = field(cameras=30)
     partition = cut(scene, method, (6, 5), least_views=6, least_gaussians=150)
     content = np.bincount(partition.owner(world(scene)), minlength=len(partition.regions))
     poor = [b for b, views in enumerate(partition.views) if len(views) < 6 or content[b] < 150]
@@ -102,10 +102,9 @@ def test_bad_input_is_one_line(changes, cause):
     assert "\n" not in str(error.value)
 
 
-def test_a_scene_in_which_nothing_is_seen_is_refused():
-    scene = replace(field(), observations=np.zeros((0, 2), np.int32))
+def test_a_coarse_model_without_gaussians_is_refused():
     with pytest.raises(InputError, match="nothing to divide among blocks"):
-        cut(scene, "blockgs")
+        cut(field(), "blockgs", gaussians=gaussians_at(np.full((3, 3), np.nan)))
 
 
 def test_the_chosen_grid_counts_margins():

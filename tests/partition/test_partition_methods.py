@@ -55,20 +55,6 @@ def test_blocks_of_blockgs_hold_about_the_same_with_their_margins(count, monkeyp
     assert fullest(held()) > 1.1
 
 
-@pytest.mark.parametrize("count", [2, 5, 16])
-def test_blockgs_divides_gaussians_by_what_each_counts(count):
-    scene = field()
-    gaussians = Gaussians.from_points(scene.points, scene.colours, 0)
-    west = scene.points[:, 0] < np.median(scene.points[:, 0])
-    weights = np.where(west, 7.0, 1.0)
-    partition = cut(scene, "blockgs", (count, 1), gaussians=gaussians, weights=weights, margin=0.0)
-    content = np.bincount(partition.owner(world(scene)), weights, count)
-    assert content.min() > 0.9 * content.mean() and content.max() < 1.1 * content.mean()
-    alike = cut(scene, "blockgs", (count, 1), gaussians=gaussians, margin=0.0)
-    content = np.bincount(alike.owner(world(scene)), weights, count)
-    assert content.max() > 1.3 * content.mean()
-
-
 def test_blockgs_assigns_a_view_of_the_margin_to_both_sides():
     scene = field()
     lower = cut(scene, "blockgs", (2, 1), margin=0.1).regions[0]
