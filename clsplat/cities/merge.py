@@ -34,7 +34,7 @@ from clsplat.evaluation.views import evaluate_run, training_pictures
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.georeference.files import placement_comments, write_placement
-from clsplat.io.lock import holder, is_locked
+from clsplat.io.lock import LockTaken, check_unlocked
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.models.tree import TREE, writing_tree
 from clsplat.io.models.values import colours_of, to_bytes
@@ -196,9 +196,10 @@ def _block(folder: BlockFolder, number: int, partition: Partition, scene: Scene
         return "missing", 0, None, "it was never written"
     run = RunFolder(folder.run)
     if not run.has_model:
-        if is_locked(folder.run):
-            return TRAINS, 0, None, (f"{folder.path}: {holder(folder.run)} trains it; wait for it, "
-                                     "or stop it")
+        try:
+            check_unlocked(folder.run)
+        except LockTaken as error:
+            return TRAINS, 0, None, str(error)
         return "unfinished", 0, None, "its run has no model yet"
     try:
         folder.check()

@@ -42,7 +42,8 @@ def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
     try:
         lock.acquire(timeout=patience)
     except Timeout:
-        raise LockTaken(f"{folder}: {holder(folder)} works here; wait for it, or stop it") from None
+        raise LockTaken(f"{folder}: {_holder(folder)} works here; wait for it, or stop it"
+                        ) from None
     except (OSError, NotImplementedError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{path}: cannot be locked ({reason}); check that the folder exists and "
@@ -62,18 +63,14 @@ def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
         lock.release()
 
 
-def is_locked(folder: Path) -> bool:
-    """Whether another process has locked the folder at this moment; nothing is written."""
-    if not (Path(folder) / LOCK).is_file():
-        return False
-    try:
+def check_unlocked(folder: Path) -> None:
+    """LockTaken if another process has locked the folder at this moment; nothing is written."""
+    if (Path(folder) / LOCK).is_file():
         with exclusive(folder):
-            return False
-    except LockTaken:
-        return True
+            pass
 
 
-def holder(folder: Path) -> str:
+def _holder(folder: Path) -> str:
     """Which process has locked a folder, in words, as far as it is known."""
     with suppress(OSError, ValueError):
         return (Path(folder) / HOLDER).read_text("utf-8") or "another process"

@@ -27,7 +27,7 @@ def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True
             archive, members):
         for name, member in members.items():
             with archive.open(member) as stream:
-                found[name.removesuffix(".npy")] = read_array(stream, member.file_size)
+                found[name.removesuffix(".npy")] = _read_array(stream, member.file_size)
     return found
 
 
@@ -42,10 +42,8 @@ def state_array(state: Mapping[str, Any]) -> NDArray[np.uint8]:
     return np.frombuffer(json.dumps(state, default=lambda value: value.tolist()).encode(), np.uint8)
 
 
-def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
-    """Read the array of an .npy of `size` bytes; raises exceptions of any kind, as numpy does.
-
-    numpy's own reader of arrays would allocate what a header claims before it reads.
+def _read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
+    """The array of an .npy of `size` bytes; numpy's own reader would allocate what a header claims.
     """
     read_header = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
     shape, by_columns, dtype = read_header[read_magic(stream)](stream)

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.lock import LockTaken, exclusive, is_locked
+from clsplat.io.lock import LockTaken, check_unlocked, exclusive
 from clsplat.io.runs.run import RunFolder
 from tests.lock_holder import HOLD, held_elsewhere
 
@@ -18,9 +18,10 @@ def test_another_process_is_refused_and_told_who_locked_it(tmp_path):
                            match=rf"process {other} on \S+, since 20\d\d-.*; wait for it"):
             with exclusive(tmp_path):
                 pass
-        assert is_locked(tmp_path)
+        with pytest.raises(LockTaken):
+            check_unlocked(tmp_path)
     with exclusive(tmp_path):
-        assert not is_locked(tmp_path)  # by another process
+        check_unlocked(tmp_path)  # by another process
     assert not (tmp_path / ".lock.txt").exists()
 
 
@@ -31,7 +32,7 @@ def test_the_lock_of_a_killed_process_is_free(tmp_path):
     child.kill()
     child.communicate()
     assert (tmp_path / ".lock.txt").exists()  # what it left says nothing any more
-    assert not is_locked(tmp_path)
+    check_unlocked(tmp_path)
     with exclusive(tmp_path):
         assert str(os.getpid()) in (tmp_path / ".lock.txt").read_text()
 

@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 from clsplat.camera import Lens
 from clsplat.errors import InputError
 from clsplat.io.fields import reading
-from clsplat.io.npz import read_array
 from clsplat.io.photos.images import window_of
 from clsplat.io.photos.lenses import pixel_map, rays_of
 from clsplat.io.photos.masks import check_shape, photo_size
 from clsplat.io.photos.photo import first_channel
-from clsplat.io.regular import open_regular
 from clsplat.scene import Scene, View
 
 SUFFIXES = (".png", ".exr", ".tif", ".tiff", ".npy")
@@ -100,9 +98,10 @@ def _stored(view: View) -> NDArray[np.float32]:
 
 
 def _read_npy(path: Path) -> NDArray[Any]:
-    with reading(path, "a NumPy array", "save it again"), open_regular(path) as file:
-        values = read_array(file, path.stat().st_size)
-    if values.ndim != 2 or values.dtype.kind not in "iuf" or not values.size:
-        raise InputError(f"{path}: holds {values.dtype}{list(values.shape)}, not numbers [H, W]; "
-                         "save the depths as such")
+    with reading(path, "a NumPy array", "save it again"):
+        # mapped, as numpy otherwise allocates what a header claims
+        values: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+        if values.ndim != 2 or values.dtype.kind not in "iuf" or not values.size:
+            raise InputError(f"{path}: holds {values.dtype}{list(values.shape)}, not numbers "
+                             "[H, W]; save the depths as such")
     return values

@@ -73,23 +73,16 @@ def read_citygs(folder: Path, images: str = "") -> Scene:
     if not (folder / VAL).is_dir():
         raise InputError(f"{folder / VAL}: missing beside {TRAIN}/; to train without held-out "
                          f"photos of their own give {folder / TRAIN}")
-    parts = [_part(folder / name) for name in (TRAIN, VAL)]
-    (train, _), (val, _) = parts
-    arrays = {key: np.concatenate([train[key], val[key]]) for key in PER_VIEW}
-    sources = [source for _, sources in parts for source in sources]
-    scene = checked_photos(checked_scene(folder, folder.resolve().name, train | arrays, sources))
+    (_, train), (_, val) = read_model(folder / TRAIN), read_model(folder / VAL, ("points3D",))
+    sources = []
+    for part, arrays in ((folder / TRAIN, train), (folder / VAL, val)):
+        photos = next((part / name for name in PHOTOS if (part / name).is_dir()), part / IMAGES)
+        # joined as text, so that a name with a leading slash stays below the folder
+        sources += [Path(f"{photos}/{name}") for name in arrays["files"]]
+        arrays["names"] = np.array([f"{part.name}/{name}" for name in arrays["names"]])
+    both = {key: np.concatenate([train[key], val[key]]) for key in PER_VIEW}
+    scene = checked_photos(checked_scene(folder, folder.resolve().name, train | both, sources))
     return replace(scene, held_out=frozenset(map(str, val["names"]))).recentred()
-
-
-def _part(folder: Path) -> tuple[dict[str, NDArray[Any]], list[Path]]:
-    """The arrays of a part's model, with names below the scene's folder, and its photos."""
-    _, arrays = read_model(folder, ("points3D",) if folder.name == VAL else ())
-    photos = next((folder / name for name in PHOTOS if (folder / name).is_dir()),
-                  folder / PHOTOS[0])
-    # joined as text, so that a name with a leading slash stays below the folder
-    sources = [Path(f"{photos}/{name}") for name in arrays["files"]]
-    names = np.array([f"{folder.name}/{name}" for name in arrays["names"]])
-    return arrays | {"names": names}, sources
 
 
 def read_model(folder: Path, may_be_empty: Collection[str] = ()
