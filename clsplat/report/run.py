@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.evaluation.held_out_responses import Predicted
 from clsplat.evaluation.pictures import COLOURS, LARGEST_ERROR, Pictures, ShownView
 from clsplat.io.photos.images import encode_image
 from clsplat.io.runs.run import RunFolder
@@ -29,8 +30,6 @@ from clsplat.scene import Scene
 JPEG_QUALITY = 85
 # attribute of a ShownView, caption
 PANELS = (("photo", "photo"), ("render", "render after the colour fit"), ("error", "its error"))
-PREDICTED = ("Held-out views have an exposure that follows from the training photos alone: {:.0%} "
-             "interpolated between those before and after, the rest the mean of all.")
 
 
 def write_report(run: RunFolder, pictures: Pictures | None = None, scene: Scene | None = None
@@ -80,18 +79,15 @@ def lead(options: Mapping[str, Any], records: Sequence[Record]) -> str:
         text += with_quality(main) + ("." if fitted in (None, main) else
                                       f", after the colour fit {fitted:.2f} dB.")
         if weight is not None:
-            text += f" {PREDICTED.format(weight)}"
+            text += f" Exposure of held-out views: {Predicted(weight=weight)}."
     return f"{text} Schedule {options.get('schedule', '?')}, seed {options.get('seed', '?')}."
 
 
 def pictures_html(pictures: Pictures | None) -> str:
-    """The section of a report for its pictures; an error becomes a line of text."""
+    """The section of a report for its pictures."""
     if not pictures or not pictures.shown:
         return ""
-    try:
-        views = "".join(map(_view, pictures.shown))
-    except Exception as error:  # noqa: BLE001
-        return f"<p class=note>Pictures could not be made ({escape(str(error))}).</p>\n"
+    views = "".join(map(_view, pictures.shown))
     if pictures.held_out:
         title = "Held-out views"
         which = "Photos that the training did not use, beside renders of the same views."

@@ -78,7 +78,7 @@ def test_held_out_views_have_an_exposure_that_training_photos_tell(run, item_dev
     assert "exposure of held-out views: 0% interpolated" in summary(result)
     assert Score.of(result).exposure_weight == 0
     told = lead({}, [{"event": "eval", **result}])
-    assert "0% interpolated between those before and after" in told
+    assert "Exposure of held-out views: 0% interpolated" in told
 
 
 def test_training_views_have_the_poses_that_the_run_corrected(run, scene):

@@ -159,8 +159,8 @@ def test_the_lead_says_what_was_trained():
         "A model of 12,345 gaussians, trained in 3 min 20 s (900 steps) on H100. PSNR on 1 "
         "held-out view: 23.25 dB (fair), after the colour fit 24.50 dB. Schedule dash, seed 3.")
     records[0]["exposure_weight"] = 0.25
-    assert ("PSNR on 1 held-out view, after the colour fit: 24.50 dB (fair). Held-out views have "
-            "an exposure") in lead(options, records)
+    assert ("PSNR on 1 held-out view, after the colour fit: 24.50 dB (fair). Exposure of held-"
+            "out views: 25% interpolated") in lead(options, records)
     assert "1 h 40 min" in lead(options, [{"train_seconds": 6012}])
     assert "PSNR" not in lead(options, [{"train_seconds": 1}])
     assert "has no records" in lead({}, [])
