@@ -77,7 +77,7 @@ def flip(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
 
     shown = image if valid is None else np.where(valid[..., None], image, photo)
     difference = oiio.ImageBufAlgo.FLIP_diff(linear(photo), linear(shown), hdr=0,
-                                             ppd=PIXELS_PER_DEGREE)
+                                             ppd=PIXELS_PER_DEGREE, nthreads=1)  # a view a thread
     pixels = difference.get_pixels()
     if difference.has_error or pixels is None:
         raise RuntimeError(difference.geterror())

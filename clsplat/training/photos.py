@@ -1,4 +1,4 @@
-"""Training photos at each level: on the device while they fit, else in a file.
+"""Training photos at each level: on the device while they fit, else in host memory or a file.
 
 A photo is decoded once a level, and not again at each of its uses: a photo of 50 megapixels takes
 about a second to decode, and a twentieth of that to read from such a file.
@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from io import BufferedRandom
+from io import BufferedRandom, BytesIO
 from pathlib import Path
 from threading import Lock
 
@@ -28,6 +28,7 @@ from clsplat.scene import View
 from clsplat.training.parts.outlier_masks import Cells, resampled, spread
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
+IN_MEMORY_BYTES = 512 << 20  # of decoded photos that wait in host memory, not in a file
 DISK_SHARE = 0.25  # of the free space of the disk that decoded photos may take
 HOST_BYTES = 640 << 20  # of the photos that are decoded at the same time
 BAND_COPIES = 8  # of a band: as the library has it, as 8-bit samples and as floats
@@ -150,7 +151,8 @@ class Thumbnails:
 
 
 class PhotoStore:
-    """Decodes photos in threads, from the first to the last, and keeps them in a file.
+    """Decodes photos in threads, from the first to the last, and keeps them: all in host memory if
+    they take no more than IN_MEMORY_BYTES, else in a file.
 
     The file has no name, so the system removes it however the process ends. Photos for which there
     is no space are decoded at each use: the first `count` are kept.
@@ -163,11 +165,14 @@ class PhotoStore:
                  folder: Path | None = None) -> None:
         ends, self._decode, self._lock = np.cumsum(sizes), decode, Lock()
         self._begins: list[int] = (ends - sizes).tolist()
-        self._file: BufferedRandom | None = None
+        self._file: BufferedRandom | BytesIO | None = None
         try:
-            folder = folder or Path(tempfile.gettempdir())
-            self.count = int((ends <= DISK_SHARE * shutil.disk_usage(folder).free).sum())
-            self._file = tempfile.TemporaryFile(dir=folder) if self.count else None
+            if sum(sizes) <= IN_MEMORY_BYTES:  # some systems write a file to disk at its end
+                self.count, self._file = len(sizes), BytesIO()
+            else:
+                folder = folder or Path(tempfile.gettempdir())
+                self.count = int((ends <= DISK_SHARE * shutil.disk_usage(folder).free).sum())
+                self._file = tempfile.TemporaryFile(dir=folder) if self.count else None
         except OSError:
             self.count = 0  # a folder that cannot be written
         self._threads = ThreadPoolExecutor(threads)
@@ -175,7 +180,7 @@ class PhotoStore:
             self._threads.submit(self._keep, i) for i in range(self.count)]
 
     def _keep(self, index: int) -> tuple[int, ...] | None:
-        """Decode a photo into the file; returns its shape, or None if that cannot be written."""
+        """Decode a photo into the store; returns its shape, or None if that cannot be written."""
         photo = self._decode(index)
         try:
             with self._lock:

@@ -48,6 +48,7 @@ def reads(monkeypatch):
 @pytest.fixture
 def no_room(monkeypatch):
     """Neither memory nor disk for photos that wait."""
+    monkeypatch.setattr(module, "IN_MEMORY_BYTES", 0)
     monkeypatch.setattr(module, "DISK_SHARE", 0)
 
 
