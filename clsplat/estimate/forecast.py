@@ -27,7 +27,14 @@ from clsplat.schedule.plan import size_at
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.schedule.steps import laid_over
 from clsplat.training.model import ENGINES, Model
-from clsplat.training.photos import DEVICE_SHARE, at_level, decoded, photo_array, reading_bytes
+from clsplat.training.photos import (
+    DEVICE_SHARE,
+    IN_MEMORY_BYTES,
+    at_level,
+    decoded,
+    photo_array,
+    reading_bytes,
+)
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
 from clsplat.training.start.initialise import initial_gaussians, start_seconds
@@ -110,18 +117,19 @@ def forecast(prepared: PreparedScene, device: Device, progress: SilentProgress |
         options = laid_over(options, max(1, int(options.iterations * budget / seconds)))
         segments, seconds = simulate(prepared.schedule(gaussians, options), detail), budget
     memory = predicted_memory(device, prepared, gaussians, segments, trials)
-    file = len({segment.level for segment in segments}) > 1 or not memory.resident
+    waits = len({segment.level for segment in segments}) > 1 or not memory.resident
     return Forecast(options.iterations, largest(segments), memory, seconds, ends,
-                    _photos(device, views, memory.resident, file))
+                    _photos(device, views, memory.resident, waits))
 
 
-def _photos(device: Device, views: Sequence[View], resident: bool, file: bool) -> str:
+def _photos(device: Device, views: Sequence[View], resident: bool, waits: bool) -> str:
     size = 3 * sum(v.camera.width * v.camera.height for v in views) / MIB
+    place = "it too" if size * MIB <= IN_MEMORY_BYTES else "a file beside the run"
     allowed = DEVICE_SHARE * device.handle.global_mem_size / MIB
     return (f"{'resident' if resident else 'streamed'}: {size:,.0f} MiB at full size, "
             f"{allowed:,.0f} may stay on the device; reading takes up to "
             f"{reading_bytes(views) / MIB:,.0f} of the host's memory"
-            + f", and a file beside the run up to {size:,.0f}" * file)
+            + f", and those that wait up to {size:,.0f} in {place}" * waits)
 
 
 def take_trials(device: Device, prepared: PreparedScene, gaussians: int,

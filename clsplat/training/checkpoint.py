@@ -18,6 +18,7 @@ from clsplat.training.recorder import Clock, broken
 from clsplat.training.session import Session
 
 Arrays = dict[str, NDArray[Any]]
+Saved = tuple[Arrays, dict[str, Any]]  # the arrays and the state
 
 KINDS = "row", "m", "v", "adam", "statistics"  # of the arrays that no part has
 STATISTICS = "grad_norm_sum", "seen_count"
@@ -32,9 +33,9 @@ class Checkpoint:
         self.run, self.session, self.clock = run, session, clock
         self.deadline, self.fingerprint = deadline, fingerprint
 
-    def save(self) -> None:
-        """Write the checkpoint, while the clock is paused; InputError where a value is not finite,
-        which keeps the previous checkpoint."""
+    def taken(self) -> Saved:
+        """The arrays and the state, while the clock is paused; InputError where a value is not
+        finite."""
         session, step = self.session, self.session.step
         m, v = step.model.adam.download()
         kinds = {"row": step.model.download(stored=True).rows, "m": m, "v": v,
@@ -52,7 +53,12 @@ class Checkpoint:
             "schedule": session.schedule.state(),
             "skipped": {"total": skipped}, "initial_count": session.schedule.facts.count,
             "budget": self.deadline and self.deadline.state()}
-        self.run.save_checkpoint(arrays, state)
+        return arrays, state
+
+    def save(self) -> None:
+        """Write the checkpoint, while the clock is paused; where `taken` raises InputError, the
+        previous one is kept."""
+        self.run.save_checkpoint(*self.taken())
 
     def check_model(self) -> None:
         """Raise InputError where a value of the gaussians is not finite."""

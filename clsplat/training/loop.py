@@ -8,9 +8,13 @@ import dataclasses
 import logging
 import shlex
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.config.option import is_auto
 from clsplat.device import Device
@@ -178,35 +182,31 @@ class Training:
     def run_to_end(self) -> None:
         """Take steps until the end, `stop_at` or Ctrl-C, which waits for its step; then save.
 
-        What cannot be made again is written first: the checkpoint, the finished model, the final
-        evaluation, and last the report, whose failure does no harm. A stage has neither, and once
-        it is finished no checkpoint, which is three times as large as the model.
+        The checkpoint and then the finished model are written during the final evaluation; last is
+        the report, whose failure does no harm. A stage has neither, and once it is finished no
+        checkpoint, which is three times as large as the model.
         """
-        with deferred_interrupt() as interrupted:
-            while not (self.finished() or self.stops() or interrupted()):
-                self.take_step()
-            if self.finished() and self.is_stage:
-                with self.clock.paused():
-                    if self._measured:
-                        self.recorder.check(self._measured)
-                    self.checkpoint.check_model()
-            else:
-                self.save()
-            if self.finished():
-                with self.clock.paused():
-                    self._save_model()
-                    if self.is_stage:
-                        self.recorder.log("end")  # a block has no evaluation that tells its steps
-                        self.checkpoint.remove()
-        self.recorder.raise_failure()
-        if not self.finished() or self.is_stage and interrupted():  # else the larger one goes on
-            raise self.stopped()
-        if not self.is_stage:
-            if self.evaluator.evaluated_at != self.session.iteration:
-                self.evaluator.evaluate(final=True)
-            self.recorder.log("time", seconds=self.progress.spent())
-            self.progress.phase("writing the report")
-            self._draw_report()
+        with ThreadPoolExecutor(1) as writer:
+            with deferred_interrupt() as interrupted:
+                while not (self.finished() or self.stops() or interrupted()):
+                    self.take_step()
+                if not self.finished():
+                    self.save()
+                elif self.is_stage:
+                    self._end_stage()
+                else:
+                    written = writer.submit(self._files())
+            self.recorder.raise_failure()
+            if not self.finished() or self.is_stage and interrupted():  # the larger one goes on
+                raise self.stopped()
+            if not self.is_stage:
+                if self.evaluator.evaluated_at != self.session.iteration:
+                    self.evaluator.evaluate(final=True)
+                self.progress.phase("writing the model")
+                written.result()
+                self.recorder.log("time", seconds=self.progress.spent())
+                self.progress.phase("writing the report")
+                self._draw_report()
         self.recorder.raise_failure()
 
     def begin(self) -> None:
@@ -340,8 +340,33 @@ class Training:
             if self.deadline:
                 self.deadline.note_saved(self._save_seconds)
 
-    def _save_model(self) -> None:
-        """Write the finished model, and what its parts have learned."""
+    def _end_stage(self) -> None:
+        """Write the model of a finished stage, and remove its checkpoint."""
+        with self.clock.paused():
+            if self._measured:
+                self.recorder.check(self._measured)
+            self.checkpoint.check_model()
+            self.run.save_model(*self._finished_model())
+            self.recorder.log("end")  # a block has no evaluation that tells its steps
+            self.checkpoint.remove()
+
+    def _files(self) -> Callable[[], None]:
+        """What writes the last checkpoint and the finished model, both in host memory already."""
+        with self.clock.paused():
+            self.progress.phase("writing the model")
+            if self._measured:
+                self.recorder.check(self._measured)
+            saved, model = self.checkpoint.taken(), self._finished_model()
+
+        def write() -> None:
+            self.run.save_checkpoint(*saved)
+            self.run.save_model(*model)
+
+        return write
+
+    def _finished_model(self) -> tuple[Gaussians, NDArray[np.floating], tuple[str, ...]]:
+        """The finished model with its offset and comments; what its parts have learned is written.
+        """
         run, session = self.run, self.session
         session.step.settle()
         for part in session.parts:
@@ -350,7 +375,7 @@ class Training:
         comments = (*start_comment(str(run.read_options().get(START, ""))),
                     f"iterations {session.iteration}", mode_comment(session.options.antialiased),
                     *placement_comments(session.scene.up, session.scene.georeference))
-        run.save_model(gaussians, session.scene.offset, comments)
+        return gaussians, session.scene.offset, comments
 
     def _draw_report(self) -> None:
         """Write the report. Failure is only a warning: the model is complete."""

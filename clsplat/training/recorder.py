@@ -20,7 +20,7 @@ from clsplat.training.step import Measured
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
 LOG_EVERY = 100
 EVALUATIONS = 8  # in a run, by default
-EVALUATION_SHARE = 1 / 3  # of the time so far that evaluations may take
+EVALUATION_SHARE = 1 / 8  # of the time so far that evaluations may take
 # Share of the rows between two records above which training stops. Good runs skip none, and a few
 # broken gaussians cause some in a million. A skipped gaussian does not change, and its neighbours
 # learn to compensate: with one in a hundred the result is no longer the scene.

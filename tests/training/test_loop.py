@@ -26,9 +26,9 @@ def test_every_half_minute_but_not_for_most_of_the_time(elapsed, took, saves):
 @pytest.mark.parametrize("every, seconds, steps", [
     ("auto", 1e9, [12]), ("auto", 0.0, list(range(1, 13))), (5, 0.0, [5, 10, 12]), (0, 0.0, [12])])
 def test_after_which_steps(item_device, tmp_path, monkeypatch, every, seconds, steps):
-    written, save = [], Checkpoint.save
-    monkeypatch.setattr(Checkpoint, "save", lambda self: (
-        written.append(self.session.iteration), save(self)))
+    written, taken = [], Checkpoint.taken
+    monkeypatch.setattr(Checkpoint, "taken", lambda self: (
+        written.append(self.session.iteration), taken(self))[1])
     monkeypatch.setattr(loop, "SAVE_SECONDS", seconds)
     monkeypatch.setattr(loop, "SAVE_SHARE", 1e9)
     trained(tmp_path / "run", read_scene(CITY).part(range(6)), item_device, iterations=12,
