@@ -22,7 +22,7 @@ Valid = NDArray[np.bool_] | None
 SSIM_WINDOW = 11  # pixels: skimage truncates a gaussian of sigma 1.5 at 3.5 sigma
 # of a monitor 0.7 m wide with 3840 pixels, seen from 0.7 m: the default of Andersson et al. (2020)
 PIXELS_PER_DEGREE = 67.02
-CHUNK_PIXELS = 1 << 16  # ten float64 features of a whole photo would not stay in cache
+CHUNK_PIXELS = 1 << 14  # ten float64 features of a whole photo would not stay in cache
 EXPORT = "export it from the lpips package with torch.onnx.export"
 
 
@@ -145,24 +145,24 @@ def fit_colour(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> NDArr
     and 1. The weights are the least-squares solution over all pixels that count, and the smallest
     one if the pixels do not determine it (a constant or grey image).
     """
-    pixels, target = _float64(image).reshape(-1, 3), _float64(photo).reshape(-1, 3)
+    pixels, target = _float64(image).reshape(-1, 3).T.copy(), _float64(photo).reshape(-1, 3)
     kept = slice(None) if valid is None else np.flatnonzero(valid)
-    fitting, target = pixels[kept], target[kept]
+    fitting, target = pixels[:, kept], target[kept]
     gram, moment = np.zeros((10, 10)), np.zeros((10, 3))
-    for begin in range(0, len(fitting), CHUNK_PIXELS):
-        features = _features(fitting[begin:begin + CHUNK_PIXELS])
-        gram += features.T @ features
-        moment += features.T @ target[begin:begin + CHUNK_PIXELS]
+    for begin in range(0, len(target), CHUNK_PIXELS):
+        features = _features(fitting[:, begin:begin + CHUNK_PIXELS])
+        gram += features @ features.T
+        moment += features @ target[begin:begin + CHUNK_PIXELS]
     # the sums are accurate to about 1e-14 of the largest: smaller singular values are rounding
     weights = np.linalg.lstsq(gram, moment, rcond=1e-13)[0]
-    fitted = np.empty_like(pixels)
-    for begin in range(0, len(pixels), CHUNK_PIXELS):
+    fitted = np.empty(pixels.shape[::-1])
+    for begin in range(0, len(fitted), CHUNK_PIXELS):
         end = begin + CHUNK_PIXELS
-        fitted[begin:end] = _features(pixels[begin:end]) @ weights
+        fitted[begin:end] = _features(pixels[:, begin:end]).T @ weights
     return fitted.clip(0.0, 1.0).reshape(np.shape(image))
 
 
 def _features(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[N, 10]: the features of colours [N, 3]."""
-    r, g, b = pixels.T
-    return np.stack([r * r, g * g, b * b, r * g, g * b, b * r, r, g, b, np.ones_like(r)], axis=1)
+    """[10, N]: the features of colours [3, N]."""
+    r, g, b = pixels
+    return np.stack([r * r, g * g, b * b, r * g, g * b, b * r, r, g, b, np.ones_like(r)])

@@ -5,6 +5,7 @@ The kernel is the cubic convolution of Keys (1981) with a = -1/2, also called Ca
 kernel blurs: docs/evidence/photos.md has figures.
 """
 
+import functools
 import itertools
 from collections.abc import Iterable, Iterator
 
@@ -88,6 +89,7 @@ def _shrunk(pixels: NDArray[np.uint8], rows_of: csr_matrix, columns_of: csr_matr
     return rounded
 
 
+@functools.lru_cache(64)  # photos of a set have few sizes
 def _coverage(old: int, new: int) -> csr_matrix:
     """Sparse float32[new, old]: the share of new pixel i that old pixel j covers; rows sum to 1."""
     # in units of 1 / (old * new) every border is an integer, so rounding moves none
