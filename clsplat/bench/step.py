@@ -52,7 +52,7 @@ def time_steps(device: Device, scene: Path, count: int, profile: bool, **options
         times.append((time.perf_counter() - start) * 1e3)
     low, median, high = np.percentile(times[len(steps):], (25, 50, 75)).round(4).tolist()
     streamed = _streamed(trial, steps)
-    splats = [session.renderer.count_splats(session.model.rows, camera)
+    splats = [len(session.renderer.visible(session.model.rows, camera))
               for camera in session.cameras]
     width, height = views[0].camera.width, views[0].camera.height
     record = {"scene": prepared.scene.name, "device": device.name, "form": device.form,

@@ -260,10 +260,15 @@ class Contract:
         if built.num_args != len(self.arguments):
             raise DeviceError(f"{self.kernel}: it has {built.num_args} arguments, "
                               f"{len(self.arguments)} are declared")
-        for index, (name, argument) in enumerate(self.arguments.items()):
-            actual, kind = _signature(built, index)
-            if actual is None:  # a driver that does not tell names
-                return
+        try:
+            found: list[tuple[Any, Any]] = [
+                (built.get_arg_info(index, cl.kernel_arg_info.NAME),
+                 built.get_arg_info(index, cl.kernel_arg_info.TYPE_NAME))
+                for index in range(built.num_args)]
+        except cl.Error:  # a binary, or a driver that does not tell names
+            return
+        for index, ((actual, kind), (name, argument)) in enumerate(
+                zip(found, self.arguments.items())):
             declared = argument if isinstance(argument, str) else argument[0] + "*"
             if actual != name or not _same_type(kind, declared):
                 raise DeviceError(f"{self.kernel}: argument {index} is '{kind} {actual}', "
@@ -272,15 +277,6 @@ class Contract:
 
 def _product(factors: Factors, sizes: Mapping[Any, Any]) -> int:
     return math.prod(-(-sizes.get(size, size) // sizes.get(by, by)) for size, by in factors)
-
-
-def _signature(built: cl.Kernel, index: int) -> tuple[Any, Any]:
-    """The name and the type of an argument; None for both where the driver does not tell."""
-    try:
-        return (built.get_arg_info(index, cl.kernel_arg_info.NAME),
-                built.get_arg_info(index, cl.kernel_arg_info.TYPE_NAME))
-    except cl.Error:
-        return None, None
 
 
 def _same_type(actual: str, declared: str) -> bool:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 
 PLATFORMS = ("Intel(R) OpenCL",)
 INCLUDE = re.compile(r'^#include "(.+)"$')
-KEPT_DAYS = 60  # since its last use
 
 
 def build(context: cl.Context, device: cl.Device, source: str, options: list[str],
@@ -95,7 +93,6 @@ def _read(file: Path) -> bytes:
     with suppress(OSError):
         stored = file.read_bytes()
         if stored[:32] == _digest(stored[32:]):
-            os.utime(file)
             return stored[32:]
     return b""
 
@@ -106,9 +103,6 @@ def _keep(file: Path, content: bytes) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary.write_bytes(_digest(content) + content)
         temporary.replace(file)
-        for other in file.parent.iterdir():
-            if time.time() - other.stat().st_mtime > KEPT_DAYS * 86400:
-                other.unlink()
     except OSError:  # a full disk, or a home that may not be written
         with suppress(OSError):
             temporary.unlink()

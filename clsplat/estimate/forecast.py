@@ -172,8 +172,8 @@ def _take_trial(device: Device, prepared: PreparedScene, level: float, count: in
     gaussians = sized(sampled(prepared.scene, count, prepared.options.sh_degree), renderer,
                       [views[index].camera for index in chosen])
     rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
-    fullest = max(spread_out(len(views), COUNTED_VIEWS), key=lambda index: renderer.count_splats(
-        rows, renderer.pack(views[index].camera)))
+    fullest = max(spread_out(len(views), COUNTED_VIEWS), key=lambda index: len(renderer.visible(
+        rows, renderer.pack(views[index].camera))))
     device.trim()
     before = device.memory_bytes
     photos = SizedPhotos(device, prepared.train_views, level)

@@ -154,11 +154,12 @@ def blend_defines(with_depth: bool, smooth_cutoff: bool = False, depth_percent: 
             ("DEPTH_PERCENT", depth_percent if with_depth else 0))
 
 
-def _feature_defines(features: Features | None) -> Defines:
-    """The build-time choices that follow from features; none without."""
+def _of_features(features: Features | None) -> tuple[Defines, dict[str, Array | None]]:
+    """The build-time choices and the arguments that follow from features."""
     if features is None:
-        return ()
-    return ("WITH_FEATURES", 1), ("CHANNELS", features.rows.shape[1])
+        return (), {"visible": None, "features": None}
+    return ((("WITH_FEATURES", 1), ("CHANNELS", features.rows.shape[1])),
+            {"visible": features.visible, "features": features.rows})
 
 
 def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, background: Array,
@@ -190,12 +191,13 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
         states = len(pairs.bucket_tiles), device.tile**2
         result.checkpoints = device.empty((*states, channels + 1))
         result.depth_checkpoints = device.empty(states) if with_depth else None
-    device.launch(BLEND, (*defines, *_feature_defines(features),
+    choices, arguments = _of_features(features)
+    device.launch(BLEND, (*defines, *choices,
                           ("WITH_RESPONSE", int(exposure is not None)),
                           ("WITH_VIGNETTING", int(response["lenses"] is not None))),
                   width=width, height=height, first_tile=pairs.tiles.start,
                   background=background, ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
-                  splats=splats, **_of_features(features), image=result.image,
+                  splats=splats, **arguments, image=result.image,
                   transmittance=result.transmittance, last_contributor=result.last_contributor,
                   depth=result.depth_channel, **response, exposed=result.exposed,
                   bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,
@@ -220,11 +222,11 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
     channels, height, width = blended.image.shape
     with_depth = dict(defines)["WITH_DEPTH"]
     pair_grads = device.empty((pairs.count, pair_columns(channels, bool(with_depth))))
-    device.launch(ADJOINT, (*defines, *_feature_defines(features)), width=width,
-                  height=height, first_tile=pairs.tiles.start, background=background,
-                  ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
-                  emission_indices=pairs.emission_indices, splats=splats,
-                  **_of_features(features), image=blended.image,
+    choices, arguments = _of_features(features)
+    device.launch(ADJOINT, (*defines, *choices), width=width, height=height,
+                  first_tile=pairs.tiles.start, background=background, ranges=pairs.ranges,
+                  sorted_splats=pairs.sorted_splats, emission_indices=pairs.emission_indices,
+                  splats=splats, **arguments, image=blended.image,
                   transmittance=blended.transmittance, depth=blended.depth_channel,
                   last_contributor=blended.last_contributor, grad_image=grad_image,
                   grad_depth=grad_depth, grad_transmittance=grad_transmittance,
@@ -232,11 +234,7 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
                   bucket_tiles=pairs.bucket_tiles, checkpoints=blended.checkpoints,
                   depth_checkpoints=blended.depth_checkpoints)
     return SplatGrads(pair_grads, pairs.splat_counts, pairs.offsets,
-                      (("WITH_DEPTH", with_depth), *_feature_defines(features)), earlier)
-
-
-def _of_features(features: Features | None) -> dict[str, Array | None]:
-    return {"visible": features and features.visible, "features": features and features.rows}
+                      (("WITH_DEPTH", with_depth), *choices), earlier)
 
 
 def choose_bands(counts: NDArray[np.int64], limit: int) -> tuple[range, ...]:

@@ -188,7 +188,7 @@ class Renderer:
                 raise ShapeError(f"features have 1 to {MOST_CHANNELS} channels, not "
                                  f"{features.shape[1]}")
             sh_degree = 0  # colours are not drawn
-        visible = self._visible(rows, camera, counts, room)
+        visible = self.visible(rows, camera, counts, room)
         splats, depth_keys = project(device, rows, visible, counts, camera, sh_degree,
                                      self._project_defines)
         order = stable_sort(device, depth_keys, counts)[1] if NEEDS_ORDER.of(device) else None
@@ -226,17 +226,17 @@ class Renderer:
         It neither sorts nor blends.
         """
         device, counts = self.device, new_counts(self.device)
-        visible = self._visible(rows, camera, counts)
+        visible = self.visible(rows, camera, counts)
         splats, _ = project(device, rows, visible, counts, camera, 0, self._project_defines)
         return len(visible), count_tiles(device, splats, counts, width, height)
 
-    def count_splats(self, rows: Rows, camera: Array) -> int:
-        """How many splats `render` would have."""
-        return len(self._visible(rows, camera, new_counts(self.device)))
-
-    def _visible(self, rows: Rows, camera: Array, counts: Array, room: Room | None = None) -> Array:
+    def visible(self, rows: Rows, camera: Array, counts: Array | None = None,
+                room: Room | None = None) -> Array:
+        """uint[V], the rows of the gaussians that `render` would draw, ascending; waits without a
+        room."""
         flags, totals = cull(self.device, rows, camera, self._project_defines)
-        return compact(self.device, flags, counts, room.visible if room else None, totals)
+        return compact(self.device, flags, new_counts(self.device) if counts is None else counts,
+                       room.visible if room else None, totals)
 
     def adjoint(self, rows: Rows, frame: Frame, grad_image: Array,
                 grad_depth: Array | None = None,

@@ -27,17 +27,10 @@ from clsplat.camera import Camera
 from clsplat.constants import ALPHA_STEPS, SPLAT_REALS, TRANSMITTANCE_MIN
 from clsplat.device import Array, Device
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.primitives.compact import compact, new_counts
+from clsplat.primitives.compact import new_counts
 from clsplat.rendering.blend import BUFFER_SHARE, Blended
-from clsplat.rendering.cull import cull
 from clsplat.rendering.pipeline import Frame, Renderer
-from clsplat.rendering.project import (
-    LOW_PASS,
-    Rows,
-    clamped_ratios,
-    project,
-    project_defines,
-)
+from clsplat.rendering.project import LOW_PASS, clamped_ratios, project, project_defines
 
 MODEL_SHARE = 0.3  # of the device's memory for a model and its splats; two may be compared
 INDICES = 6  # uints for each gaussian that culling and sorting need
@@ -212,7 +205,7 @@ class SlabRenderer:
         self.background = np.asarray(background, np.float64)
         self._renderer = Renderer(device, sh_degree, near, antialiased, orthographic=orthographic,
                                   low_pass=low_pass)  # on black
-        self._defines = project_defines(sh_degree, antialiased, orthographic)
+        self._defines = project_defines(0, antialiased, orthographic)  # for depths alone
 
     def pack(self, camera: Camera) -> tuple[Camera, Array]:
         """The camera for `render`: in host memory, to choose the parts, and on the device."""
@@ -255,25 +248,17 @@ class SlabRenderer:
 
         The lower half of a number is the row, the upper half the key of its depth.
         """
-        drawn = [np.empty(0, np.uint64)]
+        device, drawn = self.device, [np.empty(0, np.uint64)]
         for piece in parts.seen(camera, self.near, self._renderer.low_pass):
-            on_device = {name: self.device.upload(parts.read(name, piece)) for name in CULL_FIELDS}
-            rows, depth_keys = self._drawn(on_device, packed)
-            drawn.append(depth_keys.astype(np.uint64) << np.uint64(32)
-                         | rows + np.uint64(piece.start))
+            rows = {name: device.upload(parts.read(name, piece)) for name in CULL_FIELDS}
+            counts = new_counts(device)
+            visible = self._renderer.visible(rows, packed, counts)
+            # the splats are not used, so any colours will do
+            rows |= {"sh_constant": rows["positions"],
+                     "sh_rest": device.empty((len(rows["positions"]), 0, 3))}
+            _, depth_keys = project(device, rows, visible, counts, packed, 0, self._defines)
+            drawn.append(depth_keys.download().astype(np.uint64) << np.uint64(32)
+                         | visible.download() + np.uint64(piece.start))
         order = np.concatenate(drawn)
         order.sort()
         return order
-
-    def _drawn(self, rows: Rows, camera: Array
-               ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-        """uint32[V], those of rows on the device that a camera sees, and their depth keys."""
-        device, counts = self.device, new_counts(self.device)
-        flags, totals = cull(device, rows, camera, self._defines)
-        visible = compact(device, flags, counts, totals=totals)
-        # the splats are not used, so any colours will do
-        coloured = {**rows, "sh_constant": rows["positions"],
-                    "sh_rest": device.empty((len(flags), 0, 3))}
-        _, depth_keys = project(device, coloured, visible, counts, camera, 0,
-                                (("SH_REST", 0), *self._defines[1:]))
-        return visible.download(), depth_keys.download()

@@ -244,7 +244,7 @@ def test_pairs_are_counted_as_rendering_finds_them(float_device, city):
     frame = renderer.render(rows, packed, camera.width, camera.height, 0)
     splats, tiles = renderer.measure(rows, packed, camera.width, camera.height)
     assert splats == len(frame.visible) > 100 and tiles.sum() == frame.pairs.count > 100
-    assert renderer.count_splats(rows, packed) == splats
+    assert len(renderer.visible(rows, packed)) == splats
 
 
 def test_photos_that_are_reduced_are_named():
