@@ -103,11 +103,10 @@ def axis_errors(residuals: Iterable[Residual]) -> dict[str, AxisError]:
     ----------
     residuals : of measured places.
     """
-    rows = list(residuals)
+    rows = np.array([(each.east, each.north, each.up) for each in residuals], np.float64)
     result = {}
-    for axis in AXES:
-        values = np.array([value for each in rows
-                           if (value := getattr(each, axis)) is not None], np.float64)
+    for axis, column in zip(AXES, rows.reshape(-1, 3).T):
+        values = column[np.isfinite(column)]  # of a height that is not known: nan
         if len(values):
             result[axis] = AxisError(*(round(float(number), 4) for number in (
                 values.mean(), values.std(), np.sqrt(np.mean(values**2)),

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from rasterio._err import CPLE_BaseError
 from rasterio.enums import Resampling
 from rasterio.errors import CRSError, RasterioError
+from rasterio.windows import Window
 
 from clsplat.apps.map_grid import TILE, MapGrid
 from clsplat.errors import InputError, reason
@@ -54,10 +55,11 @@ class Raster:
     def write(self, place: Place, values: NDArray[Any]) -> None:
         """Replace a square of pixels [S, S, bands], `place` squares (across, down) from the upper
         left corner; what lies beyond the raster is left out."""
-        (top, bottom), (left, right) = self._window(place, len(values))
-        inner = values[:bottom - top, :right - left].astype(self._dtype)
+        left, top = len(values) * place[0], len(values) * place[1]
+        inner = values[:self.grid.rows - top, :self.grid.columns - left].astype(self._dtype)
         with _writing(self._path.parent.parent):
-            self._file.write(np.moveaxis(inner, -1, 0), window=((top, bottom), (left, right)))
+            self._file.write(np.moveaxis(inner, -1, 0),
+                             window=Window(left, top, inner.shape[1], inner.shape[0]))
 
     def finish(self, tags: Mapping[str, str]) -> None:
         """Add tags and overviews, halves of halves down to one tile, and end the writing."""
@@ -85,14 +87,10 @@ class Raster:
     def read(self, place: Place, margin: int = 0) -> NDArray[Any]:
         """A tile of a closed raster with so many pixels around it, [H, W, bands]; beyond the raster
         nothing is known."""
-        (top, bottom), (left, right) = self._window(place, TILE, margin)
-        first = place[1] * TILE - margin, place[0] * TILE - margin
+        side = TILE + 2 * margin
+        window = Window(place[0] * TILE - margin, place[1] * TILE - margin, side, side)
         with self._at(0) as file:
-            inner = np.moveaxis(file.read(window=((top, bottom), (left, right))), 0, -1)
-        shape = TILE + 2 * margin, TILE + 2 * margin, inner.shape[-1]
-        result = np.full(shape, np.nan if self._dtype == np.float32 else 0, self._dtype)
-        result[top - first[0]:bottom - first[0], left - first[1]:right - first[1]] = inner
-        return result
+            return np.moveaxis(file.read(window=window, boundless=True), 0, -1)
 
     def save(self, path: Path) -> None:
         """Replace a file by a COG of the finished raster."""
@@ -102,12 +100,6 @@ class Raster:
                 self._path, partial, driver="COG", compress="DEFLATE", predictor="YES",
                 blocksize=TILE, overviews="AUTO", bigtiff="IF_SAFER", geotiff_version="1.1")
             os.replace(partial, path)
-
-    def _window(self, place: Place, side: int, margin: int = 0) -> tuple[Place, Place]:
-        """The rows and columns of a square and its margin within the raster."""
-        rows, columns = ((max(0, at * side - margin), min(most, (at + 1) * side + margin))
-                         for at, most in zip(place[::-1], (self.grid.rows, self.grid.columns)))
-        return rows, columns
 
     def _at(self, level: int) -> Any:
         return rasterio.open(self._path, **({"overview_level": level - 1} if level else {}))

@@ -31,7 +31,6 @@ MOST_RIGHT = 0.7  # at least this share of the positions is taken to be right
 OUTLIER = 4.0  # standard deviations beyond which a position is reported as wrong
 LARGEST_SHARE = 0.15  # of the size of the positions that the residuals may have
 LARGEST_STEP = 1.0  # of the logarithm of the scale and of angles, radians, in one iteration
-LARGEST_CHANGE = 1e6  # of the scale from a start, in both directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,8 +196,6 @@ class _Problem:
             similarity = Similarity(
                 similarity.scale * scale, rotation @ similarity.rotation,
                 scale * rotation @ (similarity.translation - middle) + middle + shift)
-            if not 1 / LARGEST_CHANGE < similarity.scale / start.scale < LARGEST_CHANGE:
-                return None
             if np.abs(step[:4]).max() < 1e-8:
                 break
         return similarity

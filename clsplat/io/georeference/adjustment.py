@@ -135,11 +135,9 @@ def _adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.
     options.print_summary, options.refine_focal_length = False, not keep_focal
     # with squared errors, a single point with wrong coordinates would bend a small block to itself
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    try:
-        pycolmap.create_default_bundle_adjuster(options, config, reconstruction).solve()
-    finally:
-        for number in added:  # they are no points of the scene
-            reconstruction.delete_point3D(number)
+    pycolmap.create_default_bundle_adjuster(options, config, reconstruction).solve()
+    for number in added:  # they are no points of the scene
+        reconstruction.delete_point3D(number)
     reconstruction.update_point_3d_errors()
 
 

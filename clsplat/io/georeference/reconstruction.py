@@ -170,14 +170,12 @@ def _by_control(located: Sequence[Located], lost: Sequence[str], control: Contro
     degrees = (np.abs(positions[:, :2]) <= (180, 90)).all()
     where = outside(crs, positions) or (
         "within 200 m of the origin" if degrees and UTM_EPSG.fullmatch(crs) else "")
-    exchanged = positions[:, [1, 0, 2]]
     if where:
         question = ("are they degrees? Then EPSG:4326 belongs into the first line" if degrees else
-                    "are x and y exchanged?" if not outside(crs, exchanged) else
-                    "is it the right CRS, and are they complete?")
+                    "is it the right CRS, and are x and y exchanged?")
         raise NotGeoreferenced(f"--gcp: the ground control points lie {where}, outside the area "
                                f"of {crs[:60]}: {question}")
-    guesses = [Guess(EXCHANGED, exchanged),
+    guesses = [Guess(EXCHANGED, positions[:, [1, 0, 2]]),
                Guess("are heights positive downwards?", positions * (1, 1, -1)),
                Guess("are heights in feet?", positions * (1, 1, FOOT))]
     return _Measured([item.point.name for item in located],
