@@ -21,7 +21,7 @@ from clsplat.io.fields import LARGEST_COORDINATE, number, reading
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 from clsplat.io.scenes.posed import FLIPPED
-from clsplat.partition.region import ground_axes, world_of
+from clsplat.partition.region import ground_axes, map_axes, world_of
 from clsplat.scene import Scene
 
 # a film looks from where photos were taken, so the angle of view is at most theirs, and at least
@@ -122,7 +122,8 @@ def auto(scene: Scene, seconds: float) -> Keys:
     """
     slopes = [-float(view.camera.rotation[2] @ scene.up) for view in scene.views]
     down = np.median(slopes) >= math.cos(math.radians(LOOKS_DOWN))
-    places = _covered(scene)
+    seen = shown_by([view.camera for view in scene.views], scene.points) >= LEAST_VIEWS
+    places = scene.points[seen] if seen.any() else scene.points
     return _overflight(scene, places, seconds) if down and len(places) else flight(scene, seconds)
 
 
@@ -144,14 +145,13 @@ def _overflight(scene: Scene, places: NDArray[np.float64], seconds: float) -> Ke
         along = np.linspace(low[0] + min(0.2 * half[0], beyond * distance),
                             high[0] - min(0.8 * half[0], beyond * distance), 61)
         across = Polynomial.fit(inside[:, 0], inside[:, 1], MIDDLE_DEGREE)(along)
-        targets = np.stack([along, across], axis=1)
-        ahead = np.gradient(targets, axis=0)
+        aims = middle + np.stack([along, across], axis=1) @ plane
+        ahead = np.gradient(aims, axis=0)
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     else:
-        ahead = _headings(scene, plane, math.radians(min(360.0, TURN * seconds)))
-        targets = np.zeros_like(ahead) + (low + high) / 2
-    keys = _looking_down(scene, middle + targets @ plane, ahead @ plane, below, distance)
-    return replace(keys, degrees=OBLIQUE_DEGREES)
+        ahead = _headings(scene, min(360.0, TURN * seconds))
+        aims = np.zeros_like(ahead) + middle + (low + high) / 2 @ plane
+    return replace(_looking_down(scene, aims, ahead, below, distance), degrees=OBLIQUE_DEGREES)
 
 
 def _looking_down(scene: Scene, aims: NDArray[np.float64], ahead: NDArray[np.float64], below: float,
@@ -178,8 +178,7 @@ def turntable(scene: Scene) -> Keys:
     away = np.array([view.camera.position for view in scene.views]) - middle
     distances = np.linalg.norm(away, axis=1)
     elevation = np.median(np.arcsin(np.clip(away @ up / np.maximum(distances, 1e-12), -1, 1)))
-    plane = ground_axes(up, scene.points, np.ones(len(scene.points)))[:2]
-    ahead = -_headings(scene, plane, 2 * math.pi) @ plane  # begins as the first view looks
+    ahead = -_headings(scene, 360.0)  # begins as the first view looks
     return _looking_down(scene, middle + np.zeros_like(ahead), ahead,
                          float(np.clip(elevation, *np.radians(ELEVATIONS))),
                          float(np.median(distances)) or scene.extent)
@@ -236,16 +235,11 @@ def _degrees(frame: dict[str, Any]) -> float:
     return math.degrees(angle)
 
 
-def _covered(scene: Scene) -> NDArray[np.float64]:
-    """[N, 3], local: the sparse points that at least two photos show; all if there are none."""
-    seen = shown_by([view.camera for view in scene.views], scene.points) >= LEAST_VIEWS
-    return scene.points[seen] if seen.any() else scene.points
-
-
-def _headings(scene: Scene, plane: NDArray[np.float64], sweep: float) -> NDArray[np.float64]:
-    """[181, 2]: directions on a plane that turn by `sweep` radians about the one in which the
+def _headings(scene: Scene, sweep: float) -> NDArray[np.float64]:
+    """[181, 3]: horizontal directions that turn by `sweep` degrees about the one in which the
     scene's first view looks."""
-    first = scene.first_view.rotation
+    first, plane = scene.first_view.rotation, map_axes(scene.up)
     x, y = plane @ (first[2] - first[1])  # not vertical, even if it looks straight down
-    angles = math.atan2(y, x) + np.linspace(-sweep / 2, sweep / 2, 181)
-    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    angles = math.atan2(y, x) + np.radians(np.linspace(-sweep / 2, sweep / 2, 181))
+    directions: NDArray[np.float64] = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ plane
+    return directions

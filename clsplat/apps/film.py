@@ -80,9 +80,8 @@ def write_film(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], ra
 
     Raises
     ------
-    clsplat.ClsplatError : av is not installed, or the disk is full.
+    clsplat.ClsplatError : the disk is full.
     """
-    check_codec()
     kind = {".mkv": "matroska"}.get(path.suffix.lower(), path.suffix.lower()[1:])
     # the index first, so that a page can play the film while it loads
     options = {} if kind == "matroska" else {"movflags": "faststart"}

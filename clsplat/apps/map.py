@@ -117,7 +117,11 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         progress.phase("writing GeoTIFF files")
         colours.save(folder / ORTHOPHOTO)
         surface.save(folder / SURFACE)
-        _write_preview(folder / PREVIEW, colours, surface, lines, level, interval, unit)
+        small = surface.level(PREVIEW_SIDE)
+        with replacing(folder / PREVIEW) as file:
+            write_preview(file, colours.whole(small), surface.whole(small)[..., 0],
+                          [line * 2.0**(level - small) for _, line in lines],
+                          grid.resolution * 2**small, interval, unit)
         if interval:
             _write_contours(folder / CONTOURS, lines, grid, level, crs)
             files.append(CONTOURS)
@@ -262,29 +266,17 @@ def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: 
         file.write(json.dumps({"type": "FeatureCollection", "features": features}).encode())
 
 
-def _write_preview(path: Path, colours: Raster, surface: Raster, lines: list[ContourLine],
-                   level_of_lines: int, interval: float, unit: str) -> None:
-    level = surface.level(PREVIEW_SIDE)
-    with replacing(path) as file:
-        write_preview(file, colours.whole(level), surface.whole(level)[..., 0],
-                      [line * 2.0**(level_of_lines - level) for _, line in lines],
-                      surface.grid.resolution * 2**level, interval, unit)
-
-
 def _stated(scene: Scene) -> dict[str, Any]:
     """What is known of a map's exactness, for RECORD: the ground sampling distance of the photos,
     the vertical reference, and the georeference with its residuals, metres."""
     result: dict[str, Any] = {"ground_sampling_distance": ground_resolution(scene)}
-    place = scene.georeference
-    if place is None:
-        return result
-    errors = {role: {axis: error.rms for axis, error in place.errors(role).items()}
-              for role in (CHECK, CONTROL)}
-    return {**result,
-            "vertical_reference": place.vertical or heights_of(place.crs).name or "unknown",
-            "georeference": {"source": place.source, "residual": place.residual,
-                             "residuals_rms": {role: axes for role, axes in errors.items() if axes},
-                             "warnings": list(place.warnings)}}
+    if place := scene.georeference:
+        result["vertical_reference"] = place.vertical or heights_of(place.crs).name or "unknown"
+        result["georeference"] = {
+            "source": place.source, "residual": place.residual, "warnings": list(place.warnings),
+            "residuals_rms": {role: {axis: error.rms for axis, error in errors.items()}
+                              for role in (CHECK, CONTROL) if (errors := place.errors(role))}}
+    return result
 
 
 def sentences(statement: dict[str, Any], unit: str) -> list[str]:

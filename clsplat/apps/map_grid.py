@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.evaluation.survey import ground_samples
-from clsplat.partition.region import ground_axes
-from clsplat.partition.region import map_axes as horizontal_axes
+from clsplat.partition.region import ground_axes, map_axes
 from clsplat.scene import Scene
 
 TILE = 512  # pixels of a side, both of GeoTIFF's tiles and of a frame
@@ -119,7 +118,9 @@ def map_grid(scene: Scene, resolution: float | None = None, bounds: Bounds | Non
     if not len(scene.points):
         raise InputError(f"{scene.name}: has no points, so the extent of a map is unknown")
     origin = np.zeros(3) if scene.georeference is None else np.array(scene.georeference.offset)
-    grid = MapGrid(map_axes(scene), origin, 0, 0, 1, 1, 1, 0)
+    axes = (np.vstack([map_axes(scene.up), scene.up]) if scene.up[2] > math.cos(UPRIGHT) else
+            ground_axes(scene.up, scene.points, np.ones(len(scene.points))))
+    grid = MapGrid(axes, origin, 0, 0, 1, 1, 1, 0)
     places = grid.to_map(scene.offset + scene.unit * scene.points)
     lowest, highest = np.quantile(places[:, 2], HEIGHTS)
     size = float(resolution or ground_resolution(scene))
@@ -141,13 +142,6 @@ def map_grid(scene: Scene, resolution: float | None = None, bounds: Bounds | Non
         return grid.within((float(left), float(bottom), float(right), float(top)))
     columns, rows = (max(1, round(side / size)) for side in sides)
     return replace(grid, left=float(left), top=float(top), columns=columns, rows=rows)
-
-
-def map_axes(scene: Scene) -> NDArray[np.float64]:
-    """The directions east, north and up of a scene's map as rows [3, 3], right-handed."""
-    if scene.up[2] > math.cos(UPRIGHT):
-        return np.vstack([horizontal_axes(scene.up), scene.up])
-    return ground_axes(scene.up, scene.points, np.ones(len(scene.points)))
 
 
 def ground_resolution(scene: Scene) -> float:

@@ -173,7 +173,10 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:  # noqa: N802
         """Send a frame of the camera in the body, or the depth of what that camera sees."""
         try:
-            body = self._body()
+            length = int(self.headers.get("Content-Length") or "")
+            if not 0 <= length <= LONGEST_BODY:
+                raise ValueError(length)
+            body = self.rfile.read(length)
         except ValueError:
             self.close_connection = True  # what was not read cannot be skipped
             self._refuse(413, "a request has at most 4096 bytes")
@@ -202,12 +205,6 @@ class _Handler(BaseHTTPRequestHandler):
             else:
                 self._send(200, "image/jpeg",
                            encode_image(answer, "jpg", JPEG_QUALITY, "JPEG"))
-
-    def _body(self) -> bytes:
-        length = int(self.headers.get("Content-Length") or "")
-        if not 0 <= length <= LONGEST_BODY:
-            raise ValueError(length)
-        return self.rfile.read(length)
 
     def _allowed_path(self) -> str | None:
         """The path after the token; None if the request was refused."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import click
@@ -20,7 +19,7 @@ MOST_UNSURE = 0.1  # of the heights, without a warning
 @click.option("--resolution", type=FiniteRange(0, min_open=True),
               help="Size of a pixel, metres; of a scene without georeference scene units. Default: "
               "as fine as the photos.")
-@click.option("--bounds", type=float, nargs=4, metavar="LEFT BOTTOM RIGHT TOP",
+@click.option("--bounds", type=FiniteRange(), nargs=4, metavar="LEFT BOTTOM RIGHT TOP",
               help="Extent in the coordinates of the map; default: all that is covered.")
 @click.option("--contours", type=FiniteRange(0), help="Height between contour lines, in the same "
               "unit; 0: none. Default: about 15 lines.")
@@ -49,8 +48,7 @@ def map_command(run: Path, output: Path, resolution: float | None,
     opened = Run.open(run)
     place = opened.georeference
     data = replace(opened.scene(scene).with_up(opened.up), georeference=place)
-    if bounds is not None and not (bounds[0] < bounds[2] and bounds[1] < bounds[3]
-                                   and all(map(math.isfinite, bounds))):
+    if bounds is not None and not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
         raise InputError(f"--bounds {' '.join(f'{side:g}' for side in bounds)}: give left, bottom, "
                          "right and top, with left below right and bottom below top")
     grid = map_grid(data, resolution, bounds)

@@ -9,6 +9,7 @@ the worst first). Check points take no part, so they show how right the result i
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import compress
@@ -43,18 +44,15 @@ class Located:
 def check_marks(control: Iterable[ControlPoint], photos: Collection[str]) -> None:
     """InputError if no mark of ground control points is in one of these photos, by name, or if the
     name of one, without folders, is that of several photos."""
-    full: dict[str, list[str]] = {}  # a list may leave out the folders
-    for name in photos:
-        full.setdefault(name.rpartition("/")[2], []).append(name)
+    full = Counter(name.rpartition("/")[2] for name in photos)  # a list may leave out the folders
     marked = [name for point in control for name, _, _ in point.marks]
     if marked and not any(name in photos or name in full for name in marked):
         raise InputError(f"--gcp: no photo has a name of those in the file, such as {marked[0]}; "
                          "use the names of the photos, with their suffix")
     for name in marked:
-        if name not in photos and len(full.get(name, ())) > 1:
-            first, second, *_ = sorted(full[name])
-            raise InputError(f"--gcp: {name} may be {first} or {second}; write the photos of the "
-                             "file with their folders")
+        if name not in photos and full[name] > 1:
+            raise InputError(f"--gcp: {full[name]} photos have the name {name}; write the photos "
+                             "of the file with their folders")
 
 
 def locate(reconstruction: Any, control: Iterable[ControlPoint]) -> tuple[list[Located], list[str]]:

@@ -9,6 +9,7 @@ import csv
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ COLUMNS = (*NUMBERS, "image", "name")  # of a file without a header
 LONGEST_HEADER = 1000  # characters
 OF_WEBODM = {"geo_x": "x", "geo_y": "y", "geo_z": "z", "im_x": "pixel_x", "im_y": "pixel_y",
              "image_name": "image", "gcp_name": "name"}
+_Place = tuple[float, float, float]
+_Mark = tuple[str, float, float]
 CURE = "see docs/guide/georeference.md for the format"
 
 
@@ -49,8 +52,8 @@ class ControlPoint:
     """
 
     name: str
-    position: tuple[float, float, float]
-    marks: tuple[tuple[str, float, float], ...]
+    position: _Place
+    marks: tuple[_Mark, ...]
     is_check: bool = False
 
 
@@ -89,7 +92,7 @@ def read_control_points(path: str | Path | None, crs: str | None = None,
                              "--gcp")
         return ControlPoints(crs=crs or "")
     path = Path(path)
-    points: dict[tuple[str, float, float, float], list[tuple[str, float, float]]] = {}
+    points: dict[Any, tuple[_Place, list[_Mark]]] = {}  # by name, or place if there is none
     with reading(path, "a file of ground control points", CURE):
         text = read_regular(path).decode("utf-8-sig")
         lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)
@@ -103,16 +106,17 @@ def read_control_points(path: str | Path | None, crs: str | None = None,
         header = _header(lines[0][1]) if lines else []
         for number, line in lines[bool(header):]:
             name, place, mark = _row(header or COLUMNS, number, line)
-            points.setdefault((name, *place), []).append(mark)
+            known, marks = points.setdefault(name or place, (place, []))
+            if known != place:
+                raise InputError(f"{path}: point {name} has several coordinates; correct one, or "
+                                 "rename it")
+            marks.append(mark)
     if not points:
         raise InputError(f"{path}: has no ground control points; {CURE}")
-    names = [key[0] or f"point {number}" for number, key in enumerate(points, 1)]
-    double = next((name for name, *_ in points if name and names.count(name) > 1), None)
-    if double:
-        raise InputError(f"{path}: point {double} has several coordinates; correct one, or rename "
-                         "it")
+    names = [key if isinstance(key, str) else f"point {number}"
+             for number, key in enumerate(points, 1)]
     places, target, vertical, notes = _in_metres(
-        path, np.array([key[1:] for key in points]), own, crs)
+        path, np.array([place for place, _ in points.values()]), own, crs)
     for name, place in zip(names, places):
         if not np.isfinite(place).all():
             raise InputError(f"{path}: point {name.removeprefix('point ')} has no "
@@ -124,7 +128,7 @@ def read_control_points(path: str | Path | None, crs: str | None = None,
                              f"{clean(', '.join(names))}")
     return ControlPoints(
         tuple(ControlPoint(name, tuple(place), tuple(marks), name in checks)
-              for name, marks, place in zip(names, points.values(), places.tolist())),
+              for name, (_, marks), place in zip(names, points.values(), places.tolist())),
         target, vertical, notes)
 
 
@@ -147,7 +151,7 @@ def _header(line: str) -> list[str]:
 
 
 def _row(header: Sequence[str], number: int, line: str
-         ) -> tuple[str, tuple[float, float, float], tuple[str, float, float]]:
+         ) -> tuple[str, _Place, _Mark]:
     """The name of a point, its coordinates and its mark; ValueError names the fault."""
     cells = dict(zip(header, _cells(line)))
     missing = [name for name in COLUMNS[:-1] if not cells.get(name)]

@@ -253,9 +253,8 @@ def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool
                   ) -> tuple[str, tuple[float, float], list[str]]:
     """The source of a georeference by ground control points, its residuals along the ground and in
     height, which are those of the check points if there are any, and notes."""
-    rows: dict[str, list[Residual]] = {CONTROL: [], CHECK: [], LEFT_OUT: []}
-    for each in found:
-        rows[each.role].append(each)
+    rows = {role: [each for each in found if each.role == role]
+            for role in (CONTROL, CHECK, LEFT_OUT)}
     source = f"{len(rows[CONTROL])} ground control points"
     for names, why in ((lost, "cannot be located in the photos"),
                        ([each.name for each in rows[LEFT_OUT]], "contradict the others")):

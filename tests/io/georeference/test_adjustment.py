@@ -109,7 +109,7 @@ def test_marks_must_name_one_photo_each():
     """A list may leave out the folders; drones number the photos of each from the same number."""
     name = (points := control(3))[0].marks[0][0]
     for photos, words in (({"other.jpg"}, "no photo has a name of those in the file, such"),
-                          ({f"b/{name}", f"a/{name}"}, f"{name} may be a/{name} or b/{name}; wri")):
+                          ({f"b/{name}", f"a/{name}"}, f"2 photos have the name {name}; wri")):
         with pytest.raises(InputError, match=f"--gcp: {words}"):
             check_marks(points, photos)
     for photos in ({f"flight/{name}"}, {f"a/{name}", name}):
