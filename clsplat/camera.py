@@ -121,7 +121,7 @@ class Camera:
         width, height : pixels.
         """
         sx, sy = width / self.width, height / self.height
-        whole = None if self.whole is None else _four(np.multiply(self.whole, (sx, sy, sx, sy)))
+        whole = self.whole and tuple(np.multiply(self.whole, (sx, sy, sx, sy)).tolist())
         return replace(
             self, width=width, height=height,
             focal=(self.focal[0] * sx, self.focal[1] * sy),
@@ -137,7 +137,7 @@ class Camera:
         return replace(
             self, width=right - left, height=bottom - top,
             centre=(self.centre[0] - left, self.centre[1] - top),
-            whole=_four(np.array(self.borders) - [left, top, left, top]))
+            whole=tuple(np.subtract(self.borders, [left, top, left, top]).tolist()))
 
     def turned(self, quarters: int) -> Camera:
         """The same camera for its image after clockwise quarter turns.
@@ -280,8 +280,3 @@ class Lens:
         return replace(self, width=width, height=height,
                        focal=(self.focal[0] * sx, self.focal[1] * sy),
                        centre=(self.centre[0] * sx, self.centre[1] * sy))
-
-
-def _four(values: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    left, top, right, bottom = values.tolist()
-    return left, top, right, bottom
