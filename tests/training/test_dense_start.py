@@ -10,7 +10,7 @@ from clsplat.errors import InputError
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.stereo.dense_points import stereo_views
-from clsplat.training import session
+from clsplat.training import loop
 from clsplat.training.part import Survey
 from clsplat.training.progress import SilentProgress
 from clsplat.training.start.initialise import (
@@ -86,7 +86,7 @@ def test_initial_gaussians_are_as_many_as_were_planned(city, float_device, monke
 @pytest.mark.slow
 def test_a_training_begins_there_and_counts_the_time(city, item_device, tmp_path, monkeypatch):
     """The time of dense points is time of the training, also after it was resumed."""
-    monkeypatch.setattr(session, "first_gaussians",
+    monkeypatch.setattr(loop, "first_gaussians",
                         lambda *given: (first_gaussians(*given)[0], 1e3))
     run = trained(tmp_path / "run", city, item_device, schedule="sig", iterations=32 * LEAST_STEPS,
                   init="dense", stop_at=20, levels=(1.0,))
