@@ -110,9 +110,8 @@ class TrainingView(ViewServer, SilentProgress):
 
     def is_due(self) -> bool:
         """Whether a frame is wanted, and drawing has not taken its share of the time."""
-        if self.requests.empty():
-            return False
-        return time.perf_counter() - self._drawn_until >= self._seconds * (1 / SHARE - 1)
+        rest = self._seconds * (1 / SHARE - 1)
+        return not self.requests.empty() and time.perf_counter() - self._drawn_until >= rest
 
     def draw(self, session: Session) -> None:
         """Draw the frame that is wanted. Whatever goes wrong in drawing is no fault of training."""

@@ -62,11 +62,9 @@ def without_common_motion(given: Sequence[Camera], corrections: Sequence[Correct
 
     Parameters
     ----------
-    given, corrections : the cameras as they were given, and their corrections.
+    given, corrections : the cameras as they were given, at least one, and their corrections.
     depth : world units.
     """
-    if not given:
-        return []
     positions = np.array([camera.position for camera in given])
     middle = positions.mean(axis=0)
     rows, values = [], []

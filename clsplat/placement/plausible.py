@@ -36,12 +36,11 @@ class Guess(NamedTuple):
 
 
 class NotGeoreferenced(InputError):
-    """Why a reconstruction has no place on the earth; `expected` if nothing is wrong, and there are
-    simply too few positions."""
+    """Why a reconstruction has no place on the earth."""
 
-    def __init__(self, why: str, expected: bool = False) -> None:
-        super().__init__(why)
-        self.expected = expected
+
+class TooFewPositions(NotGeoreferenced):
+    """Nothing is wrong: the photos simply have no GPS, or hardly any."""
 
 
 def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,

@@ -71,11 +71,9 @@ def project_crs(definition: str) -> str:
     coordinates are metres; "" if it is another, or none that pyproj accepts."""
     try:
         system = _flat(pyproj_crs(definition[:LONGEST_DEFINITION], "the project"))
-        if has_metres(system):
-            return _name(system)
     except InputError:
-        pass
-    return ""
+        return ""
+    return _name(system) if has_metres(system) else ""
 
 
 def _name(system: Any) -> str:

@@ -17,7 +17,7 @@ from clsplat.io.georeference.control_points import ControlPoints
 from clsplat.io.georeference.crs import UTM_EPSG, heights_of, horizontal, map_positions, outside
 from clsplat.io.photos.metadata import PhotoMetadata
 from clsplat.placement.alignment import LEAST_POSITIONS, Alignment
-from clsplat.placement.plausible import Guess, NotGeoreferenced, believed, doubts
+from clsplat.placement.plausible import Guess, NotGeoreferenced, TooFewPositions, believed, doubts
 from clsplat.placement.up import UP, Vertical, gimbal_up
 
 LEAST_GIMBALS = 0.5  # share of the photos whose gimbals must be known
@@ -131,7 +131,7 @@ def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, Photo
     rotation = Rotation.align_vectors(target, up)[0].as_matrix()
     reconstruction.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
     notes = (f"not georeferenced: {why}",)
-    return Placed(None, target, notes, () if why.expected else notes)
+    return Placed(None, target, notes, () if isinstance(why, TooFewPositions) else notes)
 
 
 def _content(reconstruction: pycolmap.Reconstruction) -> tuple[list[Any], NDArray[np.float64]]:
@@ -188,8 +188,7 @@ def _by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: s
     """Positions of photos; NotGeoreferenced if they are too few, or outside the CRS."""
     names, centres, degrees = _gps(images, metadata)
     if len(names) < LEAST_POSITIONS:
-        raise NotGeoreferenced("no photo has GPS" if not names else
-                               f"only {len(names)} photos have GPS", expected=True)
+        raise TooFewPositions(f"only {len(names)} photos have GPS" if names else "no photo has GPS")
     known = [metadata[name] for name in names]
     heights = np.array([photo.altitude for photo in known], np.float64)  # unknown: nan
     vertical = ELLIPSOIDAL if all(photo.above_ellipsoid for photo in known) else SEA_LEVEL
