@@ -185,22 +185,19 @@ def options_with(*schedules: str, parts: Iterable[str] = ()) -> type[TrainOption
                                       frozen=True) if groups else TrainOptions
 
 
-def checked_values(source: str, values: dict[str, Any], *schedules: str,
-                   parts: Iterable[str] = ()) -> dict[str, Any]:
+def checked_values(source: str, values: dict[str, Any], *schedules: str) -> dict[str, Any]:
     """The checked values of options, by name; InputError, which begins with `source`, for others.
 
-    The schedule and the parts among the values add their own options; `schedules` and `parts` name
-    more of them.
+    The schedule and the parts among the values add their own options, and so do `schedules`.
     """
     name, named = (checked(TrainOptions, source, key, {**_FIRST, **values}[key])
                    for key in _FIRST)
-    kind = options_with(name, *schedules, parts=(*named, *parts))
+    kind = options_with(name, *schedules, parts=named)
     return {key: checked(kind, source, key, value) for key, value in values.items()}
 
 
-def from_toml(path: str | os.PathLike[str], *schedules: str, parts: Iterable[str] = ()
-              ) -> dict[str, Any]:
-    """The options of a training in a TOML file; `schedules` and `parts` as for `checked_values`."""
+def from_toml(path: str | os.PathLike[str], *schedules: str) -> dict[str, Any]:
+    """The options of a training in a TOML file; `schedules` as for `checked_values`."""
     try:  # utf-8-sig: with the mark of Windows editors
         pairs = tomllib.loads(Path(path).read_text("utf-8-sig"))
     except OSError as error:
@@ -210,7 +207,7 @@ def from_toml(path: str | os.PathLike[str], *schedules: str, parts: Iterable[str
     values = {key.replace("-", "_"): value for key, value in pairs.items()}
     if len(values) < len(pairs):
         raise InputError(f"{path}: an option is set twice, with - and with _; remove one line")
-    return checked_values(str(path), values, *schedules, parts=parts)
+    return checked_values(str(path), values, *schedules)
 
 
 def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOptions:

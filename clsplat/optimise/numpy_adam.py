@@ -60,7 +60,7 @@ class NumpyAdam:
         usable = seen != NO_ROW
         stays = np.zeros(len(rows["positions"]), bool) if frozen is None else frozen.download() > 0
         stays[gradients.visible.download()[~usable]] = True
-        moved = ~stays
+        moved, (first, second) = ~stays, corrections(int(numbers["now"]))
         for field in LEARNED:
             name, columns = field.name, slice(0, field.width(degree))
             if not columns.stop or not moved.any():
@@ -70,9 +70,11 @@ class NumpyAdam:
             gradient[seen[usable]] = gradients.fields[name].download()[usable]
             parameter, slope, m, v = (each.reshape(len(values), -1)[:, columns] for each in (
                 values, gradient, self.m[name], self.v[name]))
-            parameter[moved], m[moved], v[moved] = adam_update(
-                parameter[moved], slope[moved], m[moved], v[moved], int(numbers["now"]),
-                numbers[f"rate_{name}"])
+            slope, one = slope[moved], values.dtype.type  # Kingma & Ba 2015
+            m[moved] += one(ONE_MINUS_BETA1) * (slope - m[moved])
+            v[moved] += one(ONE_MINUS_BETA2) * (slope * slope - v[moved])
+            parameter[moved] -= (one(numbers[f"rate_{name}"] * first) * m[moved]
+                                 / (np.sqrt(v[moved]) * one(second) + one(ADAM_EPSILON)))
             rows[name].write(values)
 
     def catch_up(self, rows: Mapping[str, Array], frozen: Array | None = None) -> None:
@@ -118,15 +120,3 @@ class NumpyAdam:
             raise InputError("the checkpoint was written with Adam's moments on the device, and "
                              "not all rows are up to date: go on with engine = 'device'")
         self.steps = step
-
-
-def adam_update(parameter: NDArray[np.floating], gradient: NDArray[np.floating],
-                m: NDArray[np.floating], v: NDArray[np.floating], step: int, rate: float
-                ) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
-    """(parameter, m, v) after one step of Adam (Kingma & Ba 2015); all arrays have one shape."""
-    first, second = corrections(step)
-    one = parameter.dtype.type
-    m = m + one(ONE_MINUS_BETA1) * (gradient - m)
-    v = v + one(ONE_MINUS_BETA2) * (gradient * gradient - v)
-    moved = one(rate * first) * m / (np.sqrt(v) * one(second) + one(ADAM_EPSILON))
-    return parameter - moved, m, v

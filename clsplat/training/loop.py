@@ -170,8 +170,7 @@ class Training:
                                 "decisions": session.decisions.values})
         write_placement(self.run.path, scene, first_view=True)
         self.recorded = True
-        self.clock.add(self._start_seconds)
-        self.clock.restart()
+        self.clock.restart(self._start_seconds)
         self.recorder.log("plan", reasons=session.decisions.reasons,
                           levels=session.schedule.levels)
         for text in warnings:
@@ -258,8 +257,9 @@ class Training:
         plan = session.schedule.plan(iteration)
         if deadline:
             plan = deadline.allowed(plan)
-        for event, values in session.before_step(plan):
-            self.recorder.log(event, **values)
+        for part in session.parts:
+            if values := part.before_step(session, plan):
+                self.recorder.log(part.name, **values)
         if session.use_level(plan.level) and deadline:
             deadline.note_change()
         batch = session.options.batch

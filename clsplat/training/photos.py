@@ -131,21 +131,18 @@ class Thumbnails:
         self.views = tuple(views)
         self._photos: dict[tuple[int, int, int], Photo] = {}
 
-    def of(self, indices: Iterable[int]) -> tuple[tuple[View, ...], Iterator[Photo]]:
+    def of(self, indices: Iterable[int]) -> tuple[tuple[View, ...], list[Photo]]:
         """Some of the views, with cameras that are smaller by one factor, and their photos as
-        `decode` returns them, once the first is asked for."""
+        `decode` returns them."""
         indices = list(indices)
         small = with_side([self.views[index] for index in indices], SMALL_SIDE)
-        return small, self._read(indices, small)
-
-    def _read(self, indices: list[int], small: tuple[View, ...]) -> Iterator[Photo]:
         keys = [(index, view.camera.width, view.camera.height)
                 for index, view in zip(indices, small)]
         new = {key: view for key, view in zip(keys, small) if key not in self._photos}
         self._photos |= zip(new, decoded(new.values()))
-        yield from (self._photos[key] for key in keys)
+        return small, [self._photos[key] for key in keys]
 
-    def sampled(self, most: int) -> tuple[tuple[View, ...], Iterator[Photo]]:
+    def sampled(self, most: int) -> tuple[tuple[View, ...], list[Photo]]:
         """`of` at most so many evenly spaced views."""
         return self.of(range(0, len(self.views), -(-len(self.views) // most)))
 

@@ -36,13 +36,10 @@ class Clock:
         self._train_seconds = self._wall_seconds = 0.0  # before the last pause; before a resume
         self.restart()
 
-    def restart(self) -> None:
-        """Exclude the time since the last pause from training."""
+    def restart(self, before: float = 0.0) -> None:
+        """Exclude the time since the last pause from training, but for seconds `before`."""
+        self._train_seconds += before
         self._since = time.perf_counter() - self._device.build_seconds
-
-    def add(self, seconds: float) -> None:
-        """Count seconds that were spent before the first step as training."""
-        self._train_seconds += seconds
 
     @contextmanager
     def paused(self) -> Iterator[None]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -144,12 +144,6 @@ class Session:
         self.step.settle()
         for part in overriding(self.parts, "recentre"):
             part.recentre()
-
-    def before_step(self, plan: Plan) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Do what the parts do before a step with this plan; yields (event, values) of records."""
-        for part in overriding(self.parts, "before_step"):
-            if record := part.before_step(self, plan):
-                yield part.name, record
 
     def scoring_views(self) -> list[ViewPass]:
         """Random training views, others at each step."""
