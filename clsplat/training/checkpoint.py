@@ -91,7 +91,7 @@ class Checkpoint:
             part.load({name.partition(".")[2]: values for name, values in arrays.items()
                        if name.startswith(f"{part.name}.")}, session)
         step.skipped_before = state["skipped"]["total"]
-        step.pixel_pairs, session.iteration = state["pixel_pairs"], state["iteration"]
+        step.pairs_before, session.iteration = state["pixel_pairs"], state["iteration"]
         self.clock.load(state)
         session.schedule.facts = dataclasses.replace(
             session.schedule.facts, count=state["initial_count"])

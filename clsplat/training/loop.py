@@ -332,8 +332,7 @@ class Training:
         """Write the checkpoint, outside of training time; InputError if a value is not finite."""
         with self.clock.paused():
             self.progress.phase("writing the checkpoint")
-            if self._measured:
-                self.recorder.check(self._measured)
+            self.recorder.check(self._measured)
             begin = time.perf_counter()
             self.checkpoint.save()
             self._save_seconds, self._saved_at = time.perf_counter() - begin, self.clock.elapsed()
@@ -343,8 +342,7 @@ class Training:
     def _end_stage(self) -> None:
         """Write the model of a finished stage, and remove its checkpoint."""
         with self.clock.paused():
-            if self._measured:
-                self.recorder.check(self._measured)
+            self.recorder.check(self._measured)
             self.checkpoint.check_model()
             self.run.save_model(*self._finished_model())
             self.recorder.log("end")  # a block has no evaluation that tells its steps
@@ -354,8 +352,7 @@ class Training:
         """What writes the last checkpoint and the finished model, both in host memory already."""
         with self.clock.paused():
             self.progress.phase("writing the model")
-            if self._measured:
-                self.recorder.check(self._measured)
+            self.recorder.check(self._measured)
             saved, model = self.checkpoint.taken(), self._finished_model()
 
         def write() -> None:

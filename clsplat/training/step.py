@@ -62,13 +62,12 @@ class Step:
         self.device, self.parts = renderer.device, parts
         self._statistics = Statistics(self.device, model.count)
         self._learning = [part.skipped for part in parts if part.skipped is not None]
-        self.skipped_before = 0  # gradients of the run, before this process
+        self.skipped_before = self.pairs_before = 0  # of the run, before this process
         self.units, self._capacity = Units(self.device), FrameCapacity(renderer)
         self._graphs: dict[Any, Graph] = {}
         self._batch: BatchMean | None = None
         self._recorded_for: tuple[Any, ...] = 4 * (None,)
         self.rows_changed()
-        self._earlier_pairs = 0  # of the run, before this process
 
     # --- the state, after all steps
 
@@ -92,12 +91,7 @@ class Step:
     @property
     def pixel_pairs(self) -> int:
         """Pairs of a gaussian and a pixel in the run; a tile counts with all its pixels."""
-        return self._earlier_pairs + self.device.tile**2 * _long(self.settle(), COUNT_SUM_PAIRS)
-
-    @pixel_pairs.setter
-    def pixel_pairs(self, number: int) -> None:
-        """Go on from those of a resumed run."""
-        self._earlier_pairs += number - self.pixel_pairs
+        return self.pairs_before + self.device.tile**2 * _long(self.settle(), COUNT_SUM_PAIRS)
 
     def settle(self) -> NDArray[np.uint32]:
         """Wait for all steps, and repeat those for which there was no room; returns the counts."""
