@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from clsplat.options import ScheduledOptions
 
 LEVELS = (5.0, 4.0, 3.0, 2.0, 1.0)
-LEVELS_OF_BLOCK = (2.0, 1.0)
+FEW_LEVELS = (2.0, 1.0)  # of a block, and from dense points, where coarser ones teach no more
 SMALLEST_SIDE = 64  # pixels: what smaller images teach, the next level learns at once
 TILE = 16  # pixels
 ROUND_STEPS = (100, 200)  # least and most between rounds of growth
@@ -78,7 +78,8 @@ class SigOptions:
                          sets={"paper": PAPER, "release": RELEASE})
     levels: tuple[float, ...] = option(
         (), "Levels", "down-sampling factors of the levels, from coarse to fine, such as 4,2,1; "
-        "auto: 5,4,3,2,1 without those whose images are too small to matter", words={AUTO: ()},
+        "auto: 5,4,3,2,1, from dense points 2,1, without those whose images are too small to "
+        "matter", words={AUTO: ()},
         minimum=1.0, expects="factors that fall and end at 1, such as 4,2,1", check=check_levels,
         part="sig", measured=True)
     frequency: str = option("robust", "Levels", "which scene frequency is tested for convergence",
@@ -132,9 +133,11 @@ class Sig(Schedule):
                        ) -> tuple[tuple[float, ...], str]:
         levels = chosen_levels(options, facts.size)
         sizes = sizes_text(levels, facts.size)
-        return levels, (f"{listed(levels)}: requested; {sizes}" if options.levels else
-                        f"{listed(levels)}: {sizes}; sides below {SMALLEST_SIDE}, and levels "
-                        f"shorter than {LEAST_STEPS} steps, are left out")
+        if options.levels:
+            return levels, f"{listed(levels)}: requested; {sizes}"
+        dense = "coarser ones add nothing to dense points; " if options.init == "dense" else ""
+        return levels, (f"{listed(levels)}: {sizes}; {dense}sides below {SMALLEST_SIDE}, and "
+                        f"levels shorter than {LEAST_STEPS} steps, are left out")
 
     @classmethod
     def planned_limit(cls, options: "ScheduledOptions", facts: SceneFacts
@@ -174,7 +177,7 @@ class Sig(Schedule):
         each = {"pixels_per_gaussian": pixels_per_gaussian(options, facts)}
         if options.levels:
             return each
-        levels = chosen_levels(options, size, LEVELS_OF_BLOCK, TILE)
+        levels = chosen_levels(options, size, FEW_LEVELS, TILE)
         return {"levels": levels, **each}
 
     def __init__(self, options: "ScheduledOptions", facts: SceneFacts) -> None:
@@ -353,13 +356,13 @@ def most_gaussians(options: "ScheduledOptions", facts: SceneFacts, level: float)
 
 
 def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
-                  candidates: tuple[float, ...] = LEVELS, least: int = SMALLEST_SIDE
+                  candidates: tuple[float, ...] = (), least: int = SMALLEST_SIDE
                   ) -> tuple[float, ...]:
     """The down-sampling factors of a training, for a smallest image of `size` (width, height),
     pixels.
 
-    The default ones, `candidates`, leave out sides below `least` pixels, and the coarsest levels
-    for which there is no time. InputError if a requested factor makes an image smaller than a tile.
+    The default ones are those of `candidates`, if there are any, without sides below `least` pixels
+    and the coarsest levels for which there is no time. InputError if a requested factor makes an image smaller than a tile.
     """
     levels, side = options.levels, min(size)
     if levels:
@@ -370,6 +373,7 @@ def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
                 f"of {TILE}; give smaller --levels, or larger photos by a smaller --downscale or a "
                 "larger --max-resolution")
         return levels
+    candidates = candidates or (FEW_LEVELS if options.init == "dense" else LEVELS)
     levels = tuple(level for level in candidates if level == 1 or side / level >= least)
     while (shares := level_shares(levels, options.level_share)) and (
             shares[0] * options.iterations < LEAST_STEPS):

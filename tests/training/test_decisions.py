@@ -189,7 +189,10 @@ def test_levels_are_named(city, drift):
     drift(0.0)
     large = replace(city, views=tuple(
         replace(view, camera=view.camera.resized(320, 240)) for view in city.views))
-    result = found(large, iterations=3000)
+    dense = found(large, iterations=3000)
+    assert dense.values["levels"] == (2.0, 1.0)
+    assert "; coarser ones add nothing to dense points; sides" in dense.reasons["levels"]
+    result = found(large, iterations=3000, init="sfm")
     assert result.values["levels"] == (3.0, 2.0, 1.0)
     assert result.reasons["levels"] == (
         "3 2 1: 106 x 80 to 320 x 240 pixels; sides below 64, and levels shorter than 200 steps, "
