@@ -29,7 +29,7 @@ def a_frame(device, rows, size):
     pairs = bin_splats(device, splats, counts, numbers, width, height)
     blended = blend(device, splats, pairs, width, height, device.upload(np.zeros(3)),
                     blend_defines(with_depth=False))
-    return Frame(None, 0, counts, numbers, splats, numbers, pairs, (None,), None, blended, False)
+    return Frame(None, 0, counts, numbers, splats, numbers, pairs, (None,), None, blended, False, 0)
 
 
 def an_image(width, height, seed=0):

@@ -186,7 +186,7 @@ def test_progress_is_told(item_device, city, tmp_path):
     assert [values["iteration"] for values in Progress.told] == [1, 50]
     assert list(dict.fromkeys(Progress.phases)) == [
         "planning", "reading photos", "reading photos at full size", "compiling kernels",
-        "training at full size", "writing the checkpoint", "evaluating", "writing the report"]
+        "training at full size", "writing the model", "evaluating", "writing the report"]
     assert set(Progress.told[0]) == {"iteration", "total", "loss", "gaussians", "memory_bytes",
                                      "level"}
     assert {values["total"] for values in Progress.told} == {60}
