@@ -361,8 +361,9 @@ def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
     """The down-sampling factors of a training, for a smallest image of `size` (width, height),
     pixels.
 
-    The default ones are those of `candidates`, if there are any, without sides below `least` pixels
-    and the coarsest levels for which there is no time. InputError if a requested factor makes an image smaller than a tile.
+    The default ones are those of `candidates`, if there are any, without sides below `least`
+    pixels and the coarsest levels for which there is no time. InputError if a requested factor
+    makes an image smaller than a tile.
     """
     levels, side = options.levels, min(size)
     if levels:
