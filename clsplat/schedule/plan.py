@@ -69,6 +69,7 @@ class SceneFacts:
         a share of full brightness (covisibility/disagreement.py); nan: not known. Photos are read.
     shown_in : mean number of training photos that show a sparse point, of the points that two or
         more show; nan: not known.
+    dense : whether training begins at dense points.
     """
 
     size: tuple[int, int]
@@ -78,6 +79,7 @@ class SceneFacts:
     pixels: int
     disagreement: Callable[[], float] = lambda: math.nan
     shown_in: float = math.nan
+    dense: bool = False
 
     def differing(self) -> str:
         """How much the photos disagree, as a clause."""

@@ -131,11 +131,11 @@ class Sig(Schedule):
     @classmethod
     def planned_levels(cls, options: "ScheduledOptions", facts: SceneFacts
                        ) -> tuple[tuple[float, ...], str]:
-        levels = chosen_levels(options, facts.size)
+        levels = levels_of(options, facts)
         sizes = sizes_text(levels, facts.size)
         if options.levels:
             return levels, f"{listed(levels)}: requested; {sizes}"
-        dense = "coarser ones add nothing to dense points; " if options.init == "dense" else ""
+        dense = "coarser ones add nothing to dense points; " if facts.dense else ""
         return levels, (f"{listed(levels)}: {sizes}; {dense}sides below {SMALLEST_SIDE}, and "
                         f"levels shorter than {LEAST_STEPS} steps, are left out")
 
@@ -182,7 +182,7 @@ class Sig(Schedule):
 
     def __init__(self, options: "ScheduledOptions", facts: SceneFacts) -> None:
         super().__init__(options, facts)
-        self.levels = chosen_levels(options, facts.size)
+        self.levels = levels_of(options, facts)
         self.shares = level_shares(self.levels, options.level_share)
         self.index = self.began = 0  # of the level, and how many steps were taken before it
         self.rounds_taken = self.carried = self.hits = 0
@@ -355,15 +355,20 @@ def most_gaussians(options: "ScheduledOptions", facts: SceneFacts, level: float)
     return math.floor(facts.pixels / level**2 / each) if each else math.inf
 
 
+def levels_of(options: "ScheduledOptions", facts: SceneFacts) -> tuple[float, ...]:
+    """The levels of a training of the whole scene."""
+    return chosen_levels(options, facts.size, FEW_LEVELS if facts.dense else LEVELS)
+
+
 def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
-                  candidates: tuple[float, ...] = (), least: int = SMALLEST_SIDE
+                  candidates: tuple[float, ...] = LEVELS, least: int = SMALLEST_SIDE
                   ) -> tuple[float, ...]:
     """The down-sampling factors of a training, for a smallest image of `size` (width, height),
     pixels.
 
-    The default ones are those of `candidates`, if there are any, without sides below `least`
-    pixels and the coarsest levels for which there is no time. InputError if a requested factor
-    makes an image smaller than a tile.
+    The default ones are `candidates` without sides below `least` pixels and the coarsest levels
+    for which there is no time. InputError if a requested factor makes an image smaller than a
+    tile.
     """
     levels, side = options.levels, min(size)
     if levels:
@@ -374,7 +379,6 @@ def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
                 f"of {TILE}; give smaller --levels, or larger photos by a smaller --downscale or a "
                 "larger --max-resolution")
         return levels
-    candidates = candidates or (FEW_LEVELS if options.init == "dense" else LEVELS)
     levels = tuple(level for level in candidates if level == 1 or side / level >= least)
     while (shares := level_shares(levels, options.level_share)) and (
             shares[0] * options.iterations < LEAST_STEPS):

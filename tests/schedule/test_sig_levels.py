@@ -14,6 +14,7 @@ from clsplat.schedule.sig import (
     Sig,
     chosen_levels,
     level_shares,
+    levels_of,
 )
 from clsplat.schedule.steps import worthwhile_steps
 from tests.schedule.driven_sig import FACTS, drive, lengths, options_of, rising, sig
@@ -34,8 +35,7 @@ def test_levels_for_which_there_is_no_time_are_left_out(steps, expected):
     """The coarsest of 5, 4, 3, 2, 1 has 12 of 137 parts of the steps; that of 2, 1 has a third."""
     options = options_of(levels=(), level_share="auto", iterations=steps)
     assert chosen_levels(options, (640, 480)) == expected
-    few = expected[-2:]  # from dense points
-    assert chosen_levels(dataclasses.replace(options, init="dense"), (640, 480)) == few
+    assert levels_of(options, dataclasses.replace(FACTS, dense=True)) == expected[-2:]
     asked = options_of(iterations=1)
     assert chosen_levels(asked, (640, 480)) == asked.levels
 

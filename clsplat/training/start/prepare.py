@@ -163,12 +163,12 @@ def find_decisions(survey: Survey, device: Device | None = None, given: Sequence
     compared = functools.cache(lambda: stereo_views(scene, views))
     start = Decision(*chosen_start(survey, compared))
     if start.value == "dense":
-        facts = replace(facts, count=planned_count(limit.value, facts.pixels, options))
-    options = replace(options, init=start.value)
+        facts = replace(facts, dense=True,
+                        count=planned_count(limit.value, facts.pixels, options))
     parts = {"steps": Decision(steps, reason), "init": start,
              "levels": Decision(*schedule.planned_levels(options, facts)), "gaussians": limit,
              "sh_degree": requested(options.sh_degree), **of_parts}
-    options = replace(options, **{name: parts[name].value for name in of_parts})
+    options = replace(options, **{name: parts[name].value for name in ("init", *of_parts)})
     if device is not None:
         parts["engine"] = _engine(planned_initial(facts, options), options, device)
         options = replace(options, engine=parts["engine"].value)
