@@ -234,13 +234,15 @@ def merge(points: Points, most: int) -> Points:
     """Merge the points of each cell to their mean. Cells are at least a pixel large, and at most
     `most`, unless cells of LARGEST_CELL pixels are more."""
     merged = _in_cells(points, 1.0)
-    tried = _kept(merged)
-    fitting = None
+    if not len(merged.sizes):
+        return merged
+    fitting: float | None = None
     low, size, high = 1.0, 1.0, LARGEST_CELL
     for _ in range(MOST_SIZES):
-        count = len(tried.sizes)
+        _, number = _cells(merged, size)
+        count = np.count_nonzero(_are_surface(number))
         if count <= most:
-            fitting, high = tried, size
+            fitting = high = size
             if size == 1.0 or count >= FILLED * most:
                 break
         else:
@@ -251,13 +253,14 @@ def merge(points: Points, most: int) -> Points:
         size *= np.sqrt(count / (most * (1 + FILLED) / 2))
         if not low < size < high:
             size = np.sqrt(low * high)
-        tried = _kept(_in_cells(merged, size))
-    return fitting or _kept(_in_cells(merged, LARGEST_CELL))
+    found = _in_cells(merged, fitting or LARGEST_CELL)
+    return found.chosen(_are_surface(found.merged))
 
 
-def _kept(points: Points) -> Points:
-    """Without those that few were merged to, which lie beside the surfaces where most are."""
-    return points.chosen(points.merged >= LEAST_SHARE * points.merged.mean())
+def _are_surface(merged: NDArray[np.number]) -> NDArray[np.bool_]:
+    """Whether points are on a surface, by how many were merged to each: beside it are few."""
+    found: NDArray[np.bool_] = merged >= LEAST_SHARE * merged.mean()
+    return found
 
 
 def _in_cells(points: Points, pixels: float) -> Points:
@@ -267,6 +270,18 @@ def _in_cells(points: Points, pixels: float) -> Points:
     """
     if not len(points.sizes):
         return points
+    of, total = _cells(points, pixels)
+    weights = points.merged.astype(np.float64)
+
+    def mean(values: Floats) -> Floats:
+        return np.stack([np.bincount(of, weights * column) / total for column in values.T], axis=1)
+
+    return Points(mean(points.positions), mean(points.colours), mean(points.sizes[:, None])[:, 0],
+                  total.astype(int))
+
+
+def _cells(points: Points, pixels: float) -> tuple[NDArray[np.int64], NDArray[np.number]]:
+    """The cell of each point, and how many were merged to each cell; see `_in_cells`."""
     octave = np.rint(np.log2(points.sizes))
     side = pixels * 2.0**octave
     place = [octave, *(np.floor(column / side) for column in points.positions.T)]
@@ -277,14 +292,7 @@ def _in_cells(points: Points, pixels: float) -> Points:
                                             [int(width) for width in widths]))
     else:  # far-off points
         of = np.unique(np.stack(place, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
-    weights = points.merged.astype(np.float64)
-    total = np.bincount(of, weights)
-
-    def mean(values: Floats) -> Floats:
-        return np.stack([np.bincount(of, weights * column) / total for column in values.T], axis=1)
-
-    return Points(mean(points.positions), mean(points.colours), mean(points.sizes[:, None])[:, 0],
-                  total.astype(int))
+    return of, np.bincount(of, points.merged.astype(np.float64))
 
 
 def _numbered(keys: NDArray[np.int64]) -> NDArray[np.int64]:
