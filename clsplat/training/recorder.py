@@ -21,6 +21,7 @@ REPORT_EVERY = 50  # steps between progress lines; each waits for the device
 LOG_EVERY = 100
 EVALUATIONS = 8  # in a run, by default
 EVALUATION_SHARE = 1 / 8  # of the time so far that evaluations may take
+FIRST_SECONDS = 0.5  # assumed of an evaluation before the first one
 # Share of the rows between two records above which training stops. Good runs skip none, and a few
 # broken gaussians cause some in a million. A skipped gaussian does not change, and its neighbours
 # learn to compensate: with one in a hundred the result is no longer the scene.
@@ -167,7 +168,7 @@ class Evaluator:
         self.session, self.clock, self.recorder = session, clock, recorder
         self.evaluated_at: int | None = None  # step of the latest evaluation of the run
         self.per_view: list[dict[str, Any]] | None = None  # its scores, if this process made it
-        self.latest_seconds = self._all_seconds = 0.0
+        self.latest_seconds, self._all_seconds = FIRST_SECONDS, 0.0
         self._is_begun = False  # whether the head of the scores was shown
 
     def is_due(self) -> bool:
