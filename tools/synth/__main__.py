@@ -54,7 +54,7 @@ def synthesise(folder, blocks=(2, 2), views=32, size=(320, 240), seed=0):
             colours[point[rows]] += image[row, column]
         colours /= np.bincount(point)[:, None]
         write_colmap(folder / "sparse" / "0", photos, points, np.round(colours).astype(np.uint8),
-                     np.column_stack([point, view]))
+                     np.column_stack([point, view]), pixels)
     return len(points), len(point)
 
 

@@ -206,8 +206,8 @@ _TEXT: dict[str, Callable[[bytes], Any]] = {
 
 
 def write_colmap(folder: Path, views: Sequence[View], points: NDArray[np.float64],
-                 colours: NDArray[np.uint8], observations: NDArray[np.integer] | None = None
-                 ) -> None:
+                 colours: NDArray[np.uint8], observations: NDArray[np.integer] | None = None,
+                 pixels: NDArray[np.float64] | None = None) -> None:
     """Write cameras.bin, images.bin and points3D.bin into a folder, which is created if missing.
 
     Ids count from 1 in the order of the arguments; the errors of points are unknown.
@@ -216,13 +216,17 @@ def write_colmap(folder: Path, views: Sequence[View], points: NDArray[np.float64
     ----------
     views : those with equal intrinsics share a camera.
     points, colours : float64[N, 3], world, and uint8[N, 3].
-    observations : int[M, 2], rows (point, view), at the pixels to which the points
-        project; None: no point is seen.
+    observations : int[M, 2], rows (point, view); None: no point is seen.
+    pixels : float64[M, 2], where the points were seen; None: where they project to.
     """
     point, view = (np.zeros((2, 0), int) if observations is None else observations.T)
     # the rows of observations of each view, each of which then is a keypoint of its image
     of_views = np.split(np.argsort(view, kind="stable"),
                         np.cumsum(np.bincount(view, minlength=len(views)))[:-1])
+    if pixels is None:
+        pixels = np.empty((len(point), 2))
+        for each, rows in zip(views, of_views):
+            pixels[rows], _ = each.camera.project(points[point[rows]])
     track = np.empty(len(point), _TRACK)
     track["image"] = view + 1
     for rows in of_views:
@@ -242,7 +246,7 @@ def write_colmap(folder: Path, views: Sequence[View], points: NDArray[np.float64
                 _CAMERA.pack(number, pinhole, width, height) + struct.pack("<4d", *parameters)
                 for (width, height, *parameters), number in cameras.items())),
             ("images", len(views), (
-                _image(number, each, cameras[intrinsics[number - 1]], points, point[rows])
+                _image(number, each, cameras[intrinsics[number - 1]], pixels[rows], point[rows])
                 for number, (each, rows) in enumerate(zip(views, of_views), 1))),
             ("points3D", len(points), (
                 head.tobytes() + seen.tobytes() for head, seen in zip(heads, tracks)))):
@@ -251,11 +255,11 @@ def write_colmap(folder: Path, views: Sequence[View], points: NDArray[np.float64
             file.writelines(records)
 
 
-def _image(number: int, view: View, camera: int, points: NDArray[np.float64],
-           rows: NDArray[np.integer]) -> bytes:
-    """The record of a view that sees some rows of the points."""
+def _image(number: int, view: View, camera: int, pixels: NDArray[np.float64],
+           points: NDArray[np.integer]) -> bytes:
+    """The record of a view with its observations."""
     x, y, z, w = Rotation.from_matrix(view.camera.rotation).as_quat()
-    seen = np.empty(len(rows), _OBSERVATION)
-    seen["pixel"], seen["point"] = view.camera.project(points[rows])[0], rows + 1
+    seen = np.empty(len(points), _OBSERVATION)
+    seen["pixel"], seen["point"] = pixels, points + 1
     return (_IMAGE.pack(number, w, x, y, z, *view.camera.translation, camera)
-            + view.name.encode() + b"\0" + _LENGTH.pack(len(rows)) + seen.tobytes())
+            + view.name.encode() + b"\0" + _LENGTH.pack(len(points)) + seen.tobytes())
