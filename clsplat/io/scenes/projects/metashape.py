@@ -130,7 +130,8 @@ def _optics(sensor: Element) -> Optics:
                           key=lambda each: each.get("class") != "adjusted")
     if not calibrations:
         raise ValueError("its sensor has no calibration")
-    resolution = sensor.find(".//resolution")
+    resolution = next((found for each in (calibrations[0], sensor)
+                       if (found := each.find("resolution")) is not None), None)
     if resolution is None:
         raise ValueError("its sensor has no resolution")
     width, height = (pixels(parsed(resolution.get(key), key), key) for key in ("width", "height"))

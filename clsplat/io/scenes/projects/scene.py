@@ -75,17 +75,19 @@ class PhotoFiles:
         if found:
             return found.relative_to(self.folder).as_posix(), found
         outside = self.project / str(name)
-        if not self._given and outside.is_file():  # a folder that the user gives holds all photos
+        if not self._given and os.path.isfile(outside):  # --images has all photos
             return "/".join(parts), outside
         return parts[-1], self.folder / parts[-1]
 
     def _alike(self, parts: tuple[str, ...]) -> Path | None:
         """The file of the photo folder whose name and folders agree most with these; InputError if
         two agree equally."""
-        def likeness(path: Path) -> tuple[int, bool]:
+        def likeness(path: Path) -> tuple[int, bool, bool]:
             pairs = zip(path.parts[-2::-1], parts[-2::-1])
             equal = [own.casefold() == named.casefold() for own, named in pairs]
-            return (equal + [False]).index(False), path.parent == self.folder
+            inner = path.relative_to(self.folder).parts
+            return ((equal + [False]).index(False), parts[-len(inner):] == inner,
+                    path.parent == self.folder)
 
         found = sorted(self._files.get(parts[-1].casefold(), []), key=likeness, reverse=True)
         if len(found) > 1 and likeness(found[0]) == likeness(found[1]):
@@ -190,6 +192,8 @@ def on_map(to_earth: Similarity, centres: NDArray[np.float64], crs: str, source:
     similarity = fitted(around, exact[:6] - offset) if np.isfinite(exact).all() else None
     if similarity is None:
         raise ValueError(f"its cameras are outside of {crs[:80]}")
+    if np.linalg.det(exact[:3] - exact[3:6]) < 0:  # as with axes to the south and to the west
+        raise ValueError("its coordinates are mirrored")
     missed = similarity(centres) + offset - exact[6:]
     residual = float(np.sqrt((missed**2).sum(axis=1).mean()))
     east, north, height = offset.tolist()

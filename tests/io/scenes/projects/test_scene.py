@@ -30,6 +30,14 @@ def test_two_photos_that_fit_equally(project):
     assert PhotoFiles(project, "images/1").find("a.JPG") == ("a.JPG", project / "images/1/a.JPG")
 
 
+@pytest.mark.parametrize("other", ["3/1/a.JPG", "1/A.jpg", "1/a.JPG.png"])
+def test_the_very_name_decides(project, other):
+    """Beside a copy of the folder, a name in other letters, and a mask."""
+    (project / "images" / other).parent.mkdir(parents=True, exist_ok=True)
+    (project / "images" / other).touch()
+    assert PhotoFiles(project).find("1/a.JPG") == ("1/a.JPG", project / "images/1/a.JPG")
+
+
 def test_a_photo_beside_the_project(tmp_path):
     (tmp_path / "a.jpg").touch()
     assert PhotoFiles(tmp_path).find("a.jpg") == ("a.jpg", tmp_path / "a.jpg")
@@ -92,6 +100,12 @@ def test_a_reconstruction_in_any_unit_and_frame():
     np.testing.assert_allclose(
         georeference.to_map(similarity(other)),
         reference.to_map(places(centres)), atol=5e-3)
+
+
+def test_a_map_that_mirrors():
+    """Its axes point to the south and to the west, in this order."""
+    with pytest.raises(ValueError, match="mirrored"):
+        on_map(topocentric(49.8, 15.5, 300.0), 50 * np.eye(3), "EPSG:5513", "made")
 
 
 def test_cameras_that_are_not_on_the_earth():
