@@ -215,6 +215,8 @@ def _rows(document: dict[str, Any], content: bytes, primitive: dict[str, Any]
     if list(others) == [COMPRESSION]:
         view = document["bufferViews"][others[COMPRESSION]["bufferView"]]
         begin = view.get("byteOffset", 0)
+        if view["buffer"] != 0:
+            raise ValueError("its gaussians are in another file")
         return half_turn(unpacked_spz(content[begin:begin + view["byteLength"]]), axis=2)
     if others:
         raise ValueError(f"its gaussians are compressed with {', '.join(others)}")
@@ -227,8 +229,8 @@ def _rows(document: dict[str, Any], content: bytes, primitive: dict[str, Any]
         kind = np.dtype(COMPONENTS[found["componentType"]])
         count, stride = found["count"], view.get("byteStride", kind.itemsize * width)
         start = view.get("byteOffset", 0) + found.get("byteOffset", 0)
-        if "sparse" in found or found["type"] != TYPES[width]:
-            raise ValueError("an attribute is sparse or of another type")
+        if "sparse" in found or found["type"] != TYPES[width] or view["buffer"] != 0 or not stride:
+            raise ValueError("an attribute is sparse, of another type or in another file")
         check_expansion(len(content), 8 * width * count)
         # numpy compares the place with the size of the content
         raw = np.ndarray((count, width), kind, content, start, (stride, kind.itemsize))

@@ -131,16 +131,20 @@ def start_of(path: str | Path) -> str:
 def read_vertices(path: str | Path) -> tuple[plyfile.PlyElement, tuple[str, ...]]:
     """Read the vertices of a PLY file and its comments; InputError if it has none."""
     with reading(path, "a PLY"), open_regular(path) as file:
-        _check_header(file)
-        ply = plyfile.PlyData.read(str(path))  # given a file, it leaves one of text open
+        header = _checked_header(file)
+        source: str | io.BytesIO = str(path)  # given a file, plyfile leaves one of text open
+        if not header.isascii():  # it reads no other, as comments may be
+            file.seek(len(header))
+            source = io.BytesIO(re.sub(rb"[^\x00-\x7f]", b"?", header) + file.read())
+        ply = plyfile.PlyData.read(source)
     if "vertex" not in ply:
         raise InputError(NOT_GAUSSIANS.format(path, "it has no vertices"))
     return ply["vertex"], (*ply.comments, *(line for each in ply for line in each.comments))
 
 
-def _check_header(file: io.BufferedReader) -> None:
-    """ValueError if end_header is missing, or if the header claims more numbers than the file has
-    bytes, for which plyfile would allocate memory."""
+def _checked_header(file: io.BufferedReader) -> bytes:
+    """The header up to end_header. ValueError if that is missing, or if the header claims more
+    numbers than the file has bytes, for which plyfile would allocate memory."""
     header, end, _ = file.read(HEADER_BYTES).partition(b"end_header")
     if not header.startswith(b"ply") or not end:
         raise ValueError("it has no PLY header from ply to end_header")
@@ -154,6 +158,7 @@ def _check_header(file: io.BufferedReader) -> None:
     size = file.seek(0, io.SEEK_END)
     if claimed > size:
         raise ValueError(f"its {size} bytes are too few for the rows in its header")
+    return header
 
 
 def _sh_degree(path: str | Path, names: Iterable[str]) -> int:

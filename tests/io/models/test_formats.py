@@ -263,7 +263,7 @@ def test_another_place_of_the_buffer_and_damage(tmp_path):
     view = document["bufferViews"][0]
     changed(path, {**document, "bufferViews": [{**view, "byteOffset": 8}]}, bytes(8) + content)
     compare(read_model(path), gaussians, BOUNDS[".spz"])
-    for change in ({"byteOffset": 8}, {"byteOffset": -1}, {"byteLength": 30}):
+    for change in ({"byteOffset": 8}, {"byteOffset": -1}, {"byteLength": 30}, {"buffer": 1}):
         changed(path, {**document, "bufferViews": [{**view, **change}]}, content)
         with pytest.raises(InputError, match="a.glb: not a binary glTF") as caught:
             read_model(path)

@@ -49,6 +49,14 @@ def test_layout(tmp_path):
                                   gaussians.sh_rest[:, band, channel])
 
 
+def test_comments_that_are_not_ascii(tmp_path):
+    gaussians = random_gaussians(5, 1)
+    write_ply(tmp_path / "a.ply", gaussians)
+    content = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "a.ply").write_bytes(content.replace(b"clsplat", "Müller 由".encode(), 1))
+    assert equal(read_ply(tmp_path / "a.ply"), gaussians)
+
+
 def rewrite(path, change, text=False):
     """Write a model, as another program would, with a changed vertex table."""
     write_ply(path, random_gaussians(5, 1))
