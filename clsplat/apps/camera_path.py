@@ -140,8 +140,8 @@ def _overflight(scene: Scene, places: NDArray[np.float64], seconds: float) -> Ke
     # the ray through the upper border ends at this many distances beyond the middle
     beyond = math.sin(below) / math.tan(below - math.radians(UPPER)) - math.cos(below)
     distance = float(np.clip(half.min() / beyond, *np.multiply(DISTANCES, abs(height))))
-    if half[0] > LONG * half[1]:
-        inside = flat[((low <= flat) & (flat <= high)).all(axis=1)]
+    inside = flat[((low <= flat) & (flat <= high)).all(axis=1)]
+    if half[0] > LONG * half[1] and len(inside) > MIDDLE_DEGREE:
         along = np.linspace(low[0] + min(0.2 * half[0], beyond * distance),
                             high[0] - min(0.8 * half[0], beyond * distance), 61)
         across = Polynomial.fit(inside[:, 0], inside[:, 1], MIDDLE_DEGREE)(along)

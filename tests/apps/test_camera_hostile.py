@@ -57,6 +57,7 @@ SURVEYS = {
     "large unit": scene_of(nadir(130, 130), ground(150, 150), unit=1e6),
     "stray points": scene_of(nadir(130, 130), np.concatenate([
         ground(150, 150), ground(1e5, 1e5, 8), ground(50, 50, 4, (0, 0, -900))])),
+    "three points": scene_of(nadir(130, 130), np.array([[-60, 0, 0], [0, 1, 0], [60, 0, 0.0]])),
     "all points in one place": scene_of(nadir(130, 130), np.zeros((9, 3))),
     "tilted by 40 degrees to every side": scene_of(
         [Camera.looking_at((x - 67 * dx, y - 67 * dy, 0), (x, y, 80)) for x in (-60, 0, 60)
