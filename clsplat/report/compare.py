@@ -11,7 +11,7 @@ from clsplat.io.records import write_object
 from clsplat.io.runs.origin import origin
 from clsplat.report.charts import comparison_chart, drawn
 from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, title, warnings
-from clsplat.report.page import Table, as_utf8, page, warning
+from clsplat.report.page import Table, as_utf8, folded, page, warning
 from clsplat.report.scores import (
     COLUMNS,
     GAUSSIANS,
@@ -35,9 +35,8 @@ LEVEL_STEP = 0.5  # dB: levels chosen from the data are multiples of it
 FINAL_NOTES = (
     "cc: after the colour fit. Lower is better for FLIP and LPIPS. ± is the standard deviation "
     "over the runs of a group.",
-    "The cost of training does not depend on the machine. Pairs: of gaussian and pixel, with all "
-    "pixels of the tiles that a gaussian touches; bytes: of the arrays given to kernels, in every "
-    "launch.")
+    "Pairs: of gaussian and pixel, with all pixels of the tiles that a gaussian touches; a cost of "
+    "training that does not depend on the machine.")
 TIME_NOTES = (
     "Seconds of training until the colour-corrected PSNR was reached, and the PSNR when the "
     "shortest run ended; linear between evaluations. Where only some runs of a group have a value, "
@@ -64,7 +63,8 @@ def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = No
     if empty:
         result["warnings"].append(f"Left out, since they have no records yet: {', '.join(empty)}.")
     final, time = final_table(result), time_table(result)
-    different = different_table(groups)
+    different, same = different_table(groups), Table(
+        "", ("", "all runs"), [(title(key), runs[0].text(key)) for key in equal(runs)])
     folder = Path(folder or parent)
     make_folder(folder, "choose another --output")
     write_object(folder / "compare.json", result, indent=2)
@@ -78,7 +78,8 @@ def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = No
         "evaluations and checkpoints; colour-corrected scores come after a quadratic fit of each "
         "render's colours to its photo.",
         curves or f"<p class=note>{NO_CURVE}</p>\n", *map(warning, result["warnings"]),
-        final.html(), time.html(), different.html(), made=origin())
+        final.html(), time.html(), different.html(), folded("What is equal", same.html()),
+        made=origin())
     written = folder / "compare.html"
     with replacing(written) as file:
         file.write(html.encode())
@@ -195,7 +196,7 @@ def different_table(groups: Mapping[str, Sequence[Trained]]) -> Table:
     different = [(title(key), *(run.text(key) for run in runs)) for key in differing(runs)]
     return Table("What differs", ("", *groups), different or [("nothing", *("" for _ in runs))],
                  notes=("Seeds, and options that change neither model nor time, are left out; -: "
-                        "the schedule does not use it. compare.json has what is equal.",))
+                        "the schedule does not use it.",))
 
 
 def _of_all(values: Sequence[float | None], form: str, bound: str = "") -> str:

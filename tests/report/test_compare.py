@@ -199,7 +199,8 @@ def test_the_command(folder):
     assert Balanced(html).charts == 1
     assert "<td class=number>0 of 2 runs" in html
     order = [html.index(words) for words in (
-        'class="chart"', "class=warning", "At the end", "Against training time", "What differs")]
+        'class="chart"', "class=warning", "At the end", "Against training time", "What differs",
+        "<summary>What is equal")]
     assert order == sorted(order)
     numbers = json.loads((folder / "compare.json").read_text())
     assert [group["name"] for group in numbers["groups"]] == sorted(METHODS)
