@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.config.option import is_auto
+from clsplat.config.option import checked, is_auto
 from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted, reason
 from clsplat.evaluation.views import pictures_of
@@ -27,7 +27,7 @@ from clsplat.io.models.values import mode_comment
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
 from clsplat.io.records import digest_of
-from clsplat.io.runs.run import PART_OF_CITY, RunFolder
+from clsplat.io.runs.run import OPTIONS, PART_OF_CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint
 from clsplat.options import TrainOptions
 from clsplat.report.run import write_report
@@ -88,6 +88,10 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         run.rewind(-1)
         train(scene, options, device, run, progress, callbacks, watcher, parts)
         return
+    match record:  # another version may choose other levels
+        case {"decisions": {"levels": [*levels]}} if getattr(options, "levels", None) == ():
+            options = dataclasses.replace(options, levels=checked(
+                type(options), str(run.path / OPTIONS), "levels", levels))
     arrays, state = run.load_checkpoint()
     if state.get("fingerprint") != record["fingerprint"]:
         raise InputError(f"{run.path}: its checkpoint is of another scene; put back the run's own, "

@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.io.runs.run import RunFolder, read_poses
+from clsplat.schedule import sig
 from clsplat.training.loop import resume
 from clsplat.training.parts import image_term
 from clsplat.training.step import Step
@@ -33,8 +34,7 @@ TIMES = ("train_seconds", "wall_seconds", "memory_bytes", "peak_bytes")
 
 
 def history(run):
-    """The metrics without what the clock and the pool of memory decide, and without the bytes of
-    the arrays given to kernels: a resumed run chooses anew how much room those of frames have."""
+    """The metrics without what the clock and the pool of memory decide."""
     return [{key: value for key, value in record.items() if key not in TIMES}
             for record in run.records() if record["event"] != "time"]
 
@@ -126,6 +126,17 @@ def test_levels_stopped_and_resumed(item_device, city, tmp_path, levelled):
         resumed(run, city, item_device, **LEVELLED, stop_at=stop)
     assert model_digest(run) == model_digest(levelled)
     assert history(run) == history(levelled)
+
+
+@pytest.mark.slow
+def test_a_run_keeps_the_levels_that_an_earlier_version_chose(item_device, city, tmp_path,
+                                                              monkeypatch, levelled):
+    stop, chosen = records(levelled, "level")[0]["iteration"] + 1, {**LEVELLED, "levels": ()}
+    with monkeypatch.context() as earlier:
+        earlier.setattr(sig, "levels_of", lambda *_: LEVELLED["levels"])
+        run = trained(tmp_path / "run", city, item_device, **chosen, stop_at=stop)
+    resumed(run, city, item_device, **chosen)
+    assert model_digest(run) == model_digest(levelled)
 
 
 EVENTFUL = {"iterations": 60, "densify_until": 50, "densify_from": 5, "densify_every": 7}
