@@ -184,7 +184,7 @@ class PhotoStore:
                 assert self._file is not None
                 self._file.seek(self._begins[index])
                 self._file.write(photo.data)
-        except (OSError, ValueError):  # the disk is full, or the store closed
+        except (OSError, MemoryError, ValueError):  # there is no space, or the store is closed
             return None
         return photo.shape
 
