@@ -69,7 +69,8 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
         partition = make_partition(scene, partition_options, gaussians, views, drop)
         record = {**partition.record(), REQUESTED: plain(partition_options)}
         if steps_together := partition_options.joint_steps * one_run:
-            # the levels and growth of one run that begins at dense points, with fewer steps
+            # the growth of one run that begins at dense points, and the levels of one that begins
+            # at a file of gaussians, with fewer steps
             given = block_steps(city, steps_together,
                                 smallest_size([scene.views[index] for index in views]), facts)
             record[JOINT] = {**options_of_blocks(given, decided), "depth": options.depth,

@@ -124,12 +124,12 @@ def forecast(prepared: PreparedScene, device: Device, progress: SilentProgress |
 
 def _photos(device: Device, views: Sequence[View], resident: bool, waits: bool) -> str:
     size = 3 * sum(v.camera.width * v.camera.height for v in views) / MIB
-    place = "it too" if size * MIB <= IN_MEMORY_BYTES else "a file beside the run"
+    place = "it" if size * MIB <= IN_MEMORY_BYTES else "a file beside the run"
     allowed = DEVICE_SHARE * device.handle.global_mem_size / MIB
     return (f"{'resident' if resident else 'streamed'}: {size:,.0f} MiB at full size, "
             f"{allowed:,.0f} may stay on the device; reading takes up to "
             f"{reading_bytes(views) / MIB:,.0f} of the host's memory"
-            + f", and those that wait up to {size:,.0f} in {place}" * waits)
+            + f", and photos that wait up to {size:,.0f} more in {place}" * waits)
 
 
 def take_trials(device: Device, prepared: PreparedScene, gaussians: int,

@@ -146,8 +146,8 @@ def smallest_size(views: Sequence[View]) -> tuple[int, int]:
 def find_decisions(survey: Survey, device: Device | None = None, given: Sequence[Part] = ()
                    ) -> Decisions:
     """Decide about all that is optional; InputError where an option cannot be met. `given` are
-    parts besides those that the options ask for; without a device, the
-    option `engine` stays as it is."""
+    parts besides those that the options ask for; without a device, the option `engine` stays as it
+    is."""
     scene, views, options, thumbnails = survey
     facts, schedule = scene_facts(scene, views, thumbnails), schedule_of(options.schedule)
     for part in given:
