@@ -71,7 +71,8 @@ class PhotoFiles:
         parts = tuple(part for part in parts if part not in ("/", "//", ".."))
         if not parts:
             raise ValueError(f"{str(name)[:80]!r} is not the name of a photo")
-        found = self._alike(parts)
+        places = [self.folder.joinpath(*parts[first:]) for first in range(len(parts))]
+        found = next(filter(os.path.isfile, places), None) or self._alike(parts)
         if found:
             return found.relative_to(self.folder).as_posix(), found
         outside = self.project / str(name)
@@ -82,12 +83,10 @@ class PhotoFiles:
     def _alike(self, parts: tuple[str, ...]) -> Path | None:
         """The file of the photo folder whose name and folders agree most with these; InputError if
         two agree equally."""
-        def likeness(path: Path) -> tuple[int, bool, bool]:
+        def likeness(path: Path) -> int:
             pairs = zip(path.parts[-2::-1], parts[-2::-1])
             equal = [own.casefold() == named.casefold() for own, named in pairs]
-            inner = path.relative_to(self.folder).parts
-            return ((equal + [False]).index(False), parts[-len(inner):] == inner,
-                    path.parent == self.folder)
+            return (equal + [False]).index(False)
 
         found = sorted(self._files.get(parts[-1].casefold(), []), key=likeness, reverse=True)
         if len(found) > 1 and likeness(found[0]) == likeness(found[1]):

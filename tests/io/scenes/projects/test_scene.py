@@ -38,6 +38,13 @@ def test_the_very_name_decides(project, other):
     assert PhotoFiles(project).find("1/a.JPG") == ("1/a.JPG", project / "images/1/a.JPG")
 
 
+def test_photos_in_a_folder_that_is_a_link(project):
+    (project / "other").mkdir()
+    (project / "other/a.JPG").touch()
+    (project / "images/3").symlink_to(project / "other")
+    assert PhotoFiles(project).find("3/a.JPG") == ("3/a.JPG", project / "images/3/a.JPG")
+
+
 def test_a_photo_beside_the_project(tmp_path):
     (tmp_path / "a.jpg").touch()
     assert PhotoFiles(tmp_path).find("a.jpg") == ("a.jpg", tmp_path / "a.jpg")
