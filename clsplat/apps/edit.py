@@ -193,7 +193,7 @@ def _polygons(item: Any) -> Iterator[Polygon]:
         case {"type": "Point" | "MultiPoint" | "LineString" | "MultiLineString"}:
             pass
         case _:
-            raise ValueError("what it holds is no feature or geometry")
+            raise ValueError("a part of it is no feature or geometry")
 
 
 def _ring(corners: Sequence[Sequence[Any]]) -> NDArray[np.float64]:

@@ -220,7 +220,7 @@ class BlockFolder:
                            "give a folder CITY/blocks/NNN that `clsplat partition` wrote")
 
     def check(self) -> None:
-        """InputError if the block lies, perhaps by a link, in a city that it is not of."""
+        """InputError if the block lies, perhaps by a link, in another city than its own."""
         record, city = self.read(), CityFolder(self.path.absolute().parent.parent)
         # without one it is a block by itself, on another machine
         for key, value in city.identity().items() if city.has_record else ():
