@@ -179,6 +179,21 @@ def test_a_broken_training_keeps_its_checkpoint(item_device, city, tmp_path, mon
     assert (run.path / "checkpoint.npz").read_bytes() == kept
 
 
+@pytest.mark.slow
+def test_a_model_that_cannot_be_written_is_written_later(item_device, city, tmp_path, monkeypatch,
+                                                         whole):
+    """A thread writes it during the last evaluation; its error ends the run."""
+    def full(*_):
+        raise InputError("the disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunFolder, "save_model", full)
+        with pytest.raises(InputError, match="the disk is full"):
+            trained(tmp_path / "run", city, item_device, eval_every=50)
+    run = resumed(RunFolder(tmp_path / "run"), city, item_device, eval_every=50)
+    assert model_digest(run) == model_digest(whole) and history(run) == history(whole)
+
+
 SLOW = {**LEVELLED, "iterations": 200, "reset_every": 80, "checkpoint_every": 10}
 
 
