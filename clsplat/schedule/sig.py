@@ -78,7 +78,7 @@ class SigOptions:
                          sets={"paper": PAPER, "release": RELEASE})
     levels: tuple[float, ...] = option(
         (), "Levels", "down-sampling factors of the levels, from coarse to fine, such as 4,2,1; "
-        "auto: 5,4,3,2,1, from dense points 2,1, without those whose images are too small to "
+        "auto: 5,4,3,2,1, or from dense points 2,1, without those whose images are too small to "
         "matter", words={AUTO: ()},
         minimum=1.0, expects="factors that fall and end at 1, such as 4,2,1", check=check_levels,
         part="sig", measured=True)
