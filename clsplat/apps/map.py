@@ -149,12 +149,14 @@ def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
                    MOST_HALVINGS)
     finer = grid.finer(halvings)
     painter = MapPainter(device, run, finer, scene)
-    total = math.prod(finer.tiles)
-    for done, (row, column) in enumerate(np.ndindex(finer.tiles[::-1]), 1):
+    # those of one tile of the file follow each other, as it is compressed anew at every return
+    tiles = sorted(np.ndindex(finer.tiles[::-1]),
+                   key=lambda tile: (tile[0] >> halvings, tile[1] >> halvings))
+    for done, (row, column) in enumerate(tiles, 1):
         inside = extent.inside(finer, column, row)[..., None]
         if not inside.any():
             continue
-        progress.count("tile", done, total)
+        progress.count("tile", done, len(tiles))
         colours, surface = painter.tile(column, row)
         masked = np.where(inside, colours, 0), np.where(inside, surface, np.float32(np.nan))
         for raster, pixels in zip(drawn, masked):
