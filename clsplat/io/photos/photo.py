@@ -149,12 +149,14 @@ class _ArrayPhoto(Photo):
         self.is_deep = pixels.dtype == np.uint16 and channels < 3
 
     def _bands(self, top: int, bottom: int, kind: str) -> Iterator[NDArray[Any]]:
-        rows = self._pixels[top:bottom]
-        if rows.dtype != kind:
-            whole = 1.0 if rows.dtype == np.float32 else np.iinfo(rows.dtype).max
-            scaled = np.clip(np.nan_to_num(rows), 0, whole) * (np.iinfo(kind).max / whole)
-            rows = (scaled + 0.5).astype(kind)
-        yield rows
+        step = band_rows(self.width, self._pixels.shape[2])
+        for row in range(top, bottom, step):
+            rows = self._pixels[row:min(row + step, bottom)]
+            if rows.dtype != kind:
+                whole = 1.0 if rows.dtype == np.float32 else np.iinfo(rows.dtype).max
+                scaled = np.clip(np.nan_to_num(rows), 0, whole) * (np.iinfo(kind).max / whole)
+                rows = (scaled + 0.5).astype(kind)
+            yield rows
 
 
 @contextmanager
