@@ -82,7 +82,9 @@ class NodeParts:
     def read(self, name: str, rows: slice | NDArray[np.int64]) -> NDArray[np.float32]:
         """float32[M, *row shape]: a field of these rows."""
         if isinstance(rows, slice):
-            rows = np.arange(rows.start, rows.stop)
+            first, end = np.searchsorted(self._firsts, (rows.start + 1, rows.stop)) - (1, 0)
+            whole = np.concatenate([self._tree.read(node, name) for node in self._nodes[first:end]])
+            return whole[rows.start - self._firsts[first]:][:rows.stop - rows.start]
         place = np.searchsorted(self._firsts, rows, side="right") - 1
         order = np.argsort(place, kind="stable")
         values = np.empty((len(rows), *FIELDS[name].row_shape(self._tree.sh_degree)), np.float32)
