@@ -24,30 +24,31 @@
 #define LEAST_VARIANCE 1e-6 // of a window with texture
 #define NO_MATCH -1
 
-// A window of the reference: every `stride`-th row and column, less the mean of them.
+// A window of the reference: every `stride`-th row and column, less the mean of them. The stride is
+// a constant where these functions are called, so that compilers unroll their loops.
 typedef struct {
     real values[SIDE * SIDE];
-    int row, stride; // how many in a row
     real mean, variance;
 } Window;
+#define EACH_ROW(stride) for (int row = 0; row < SIDE; row += (stride))
+#define EACH_COLUMN(stride) for (int column = 0; column < SIDE; column += (stride))
+#define TAPS(stride) (((SIDE - 1) / (stride) + 1) * ((SIDE - 1) / (stride) + 1))
 
 INLINE void load_window(Window *window, __global const real *restrict image, int width, int x,
                         int y, int stride)
 {
-    const int row = (SIDE + stride - 1) / stride, taps = row * row;
+    const int taps = TAPS(stride);
     real sum = 0, squares = 0;
-    for (int tap = 0; tap < taps; tap++) {
-        const real value = image[(long)(y + stride * (tap / row) - REACH) * width + x
-                                 + stride * (tap % row) - REACH];
-        window->values[tap] = value;
+    int tap = 0;
+    EACH_ROW(stride) EACH_COLUMN(stride) {
+        const real value = image[(long)(y + row - REACH) * width + x + column - REACH];
+        window->values[tap++] = value;
         sum += value;
     }
-    for (int tap = 0; tap < taps; tap++) {
+    for (tap = 0; tap < taps; tap++) {
         window->values[tap] -= sum / taps;
         squares += window->values[tap] * window->values[tap];
     }
-    window->row = row;
-    window->stride = stride;
     window->mean = sum / taps;
     window->variance = squares / taps;
 }
@@ -75,7 +76,7 @@ INLINE real3 warped(real x, real y, real inverse_depth, __global const real *res
 
 // The correlation of a window around (x, y) with its place in a source; NO_MATCH where that lies
 // outside, or has no texture.
-INLINE real correlation(const Window *window, real x, real y, real inverse_depth,
+INLINE real correlation(const Window *window, int stride, real x, real y, real inverse_depth,
                         __global const real *restrict image, int width, int2 size,
                         __global const real *restrict warp)
 {
@@ -88,16 +89,16 @@ INLINE real correlation(const Window *window, real x, real y, real inverse_depth
     // a window is small, so its pixels follow the derivatives at its centre
     const real2 by_x = ((real2)(warp[0], warp[3]) - (real2)(u, v) * warp[6]) / q.z;
     const real2 by_y = ((real2)(warp[1], warp[4]) - (real2)(u, v) * warp[7]) / q.z;
-    const int row = window->row, taps = row * row;
+    const int taps = TAPS(stride);
     real sum = 0, squares = 0, products = 0;
-    for (int tap = 0; tap < taps; tap++) {
-        const real dx = window->stride * (tap % row) - REACH;
-        const real dy = window->stride * (tap / row) - REACH;
+    int tap = 0;
+    EACH_ROW(stride) EACH_COLUMN(stride) {
+        const real dx = column - REACH, dy = row - REACH;
         const real value = sampled(image, width, size, u + dx * by_x.x + dy * by_y.x,
                                    v + dx * by_x.y + dy * by_y.y) - window->mean;
         sum += value;
         squares += value * value;
-        products += value * window->values[tap];
+        products += value * window->values[tap++];
     }
     const real variance = squares / taps - sum / taps * (sum / taps);
     if (!(variance >= (real)LEAST_VARIANCE)) // nor for a nan
@@ -111,13 +112,14 @@ INLINE real correlation(const Window *window, real x, real y, real inverse_depth
         __global const real *restrict warps
 #define THE_SOURCES width, source_count, images, sizes, sources, warps
 
-INLINE real score_of(const Window *window, real x, real y, real inverse_depth, long plane, SOURCES)
+INLINE real score_of(const Window *window, int stride, real x, real y, real inverse_depth,
+                     long plane, SOURCES)
 {
     real best = NO_MATCH, second = NO_MATCH;
     for (int s = 0; s < source_count; s++) {
         const int source = sources[s];
-        const real found = correlation(window, x, y, inverse_depth, images + source * plane, width,
-                                       vload2(source, sizes), warps + 12 * s);
+        const real found = correlation(window, stride, x, y, inverse_depth, images + source * plane,
+                                       width, vload2(source, sizes), warps + 12 * s);
         second = fmax(second, fmin(best, found));
         best = fmax(best, found);
     }
@@ -147,7 +149,7 @@ __kernel void sweep(int width, int height, int reference, int source_count, int 
     real best = NO_MATCH;
     int at = 0;
     for (int k = 0; k < planes; k++) {
-        const real score = score_of(&window, x, y, first + k * spacing, plane, THE_SOURCES);
+        const real score = score_of(&window, 2, x, y, first + k * spacing, plane, THE_SOURCES);
         if (score > best) {
             best = score;
             at = k;
@@ -163,7 +165,7 @@ __kernel void sweep(int width, int height, int reference, int source_count, int 
     best = NO_MATCH;
     at = 0;
     for (int k = 0; k < FINE; k++) {
-        near[k] = score_of(&window, x, y, middle + (k - FINE / 2) * fine, plane, THE_SOURCES);
+        near[k] = score_of(&window, 1, x, y, middle + (k - FINE / 2) * fine, plane, THE_SOURCES);
         if (near[k] > best) {
             best = near[k];
             at = k;
