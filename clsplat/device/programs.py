@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from clsplat.device.kernel import Contract
 
 PLATFORMS = ("Intel(R) OpenCL",)
+KEPT_DAYS = 60  # since its last use
 INCLUDE = re.compile(r'^#include "(.+)"$')
 
 
@@ -93,6 +95,7 @@ def _read(file: Path) -> bytes:
     with suppress(OSError):
         stored = file.read_bytes()
         if stored[:32] == _digest(stored[32:]):
+            os.utime(file)
             return stored[32:]
     return b""
 
@@ -103,6 +106,9 @@ def _keep(file: Path, content: bytes) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary.write_bytes(_digest(content) + content)
         temporary.replace(file)
+        for other in file.parent.iterdir():
+            if time.time() - other.stat().st_mtime > KEPT_DAYS * 86400:
+                other.unlink()
     except OSError:  # a full disk, or a home that may not be written
         with suppress(OSError):
             temporary.unlink()

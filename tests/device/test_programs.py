@@ -103,3 +103,11 @@ def test_a_wrong_declaration_is_refused_however_often(float_device, folder, tmp_
 def test_a_home_that_cannot_be_written_costs_nothing(float_device, tmp_path, monkeypatch, folder):
     (tmp_path / ".cache").write_text("not a folder")
     assert doubled(float_device, build(float_device)) == [2, 5]
+
+
+def test_what_was_long_unused_is_removed(float_device, folder):
+    build(float_device)
+    old, = folder.iterdir()
+    programs.os.utime(old, (1, 1))
+    build(float_device, SOURCE + "\n")
+    assert not old.exists() and len(list(folder.iterdir())) == 1
