@@ -19,7 +19,8 @@ from tests.data.tiny_training import CITY, model_digest
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
-SMALL_VALUES = {"iterations": 40, "downscale": 8, "schedule": "constant", "exposure": "off"}
+SMALL_VALUES = {"iterations": 40, "downscale": 8, "schedule": "constant", "exposure": "off",
+                "eval_every": 20}
 SMALL = clsplat.TrainOptions(**SMALL_VALUES)
 CAMERA = clsplat.Camera.looking_at((0, 0, 0), (0.2, -3, 0.4), width=40, height=28)
 

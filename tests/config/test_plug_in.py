@@ -55,7 +55,7 @@ def test_a_schedule_in_one_file(package, tmp_path):
     whole = " ".join(clsplat("train", "--schedule", "halves", "--help-all").stdout.split())
     assert "--half-share FLOAT Share of the run at half size" in whole
     done = clsplat("train", CITY, "--schedule=halves", "-n", "8", "-r", "8", "--half-share",
-                   "0.25", "-o", "other")
+                   "0.25", "--eval-every", "1", "-o", "other")
     assert done.returncode == 0, done.stderr
     records = [json.loads(line) for line in (tmp_path / "other/metrics.jsonl").open()]
     assert {r["level"] for r in records if r["event"] == "eval"} == {1.0, 2.0}
