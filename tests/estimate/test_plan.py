@@ -118,6 +118,7 @@ PARTS = [{"poses": "on"},
          {"sh_degree": 1, "engine": "numpy"}]
 
 
+@pytest.mark.slow  # the group form takes half a minute on a CPU
 @pytest.mark.parametrize("options", PARTS, ids=str)
 @pytest.mark.one_in(4)
 def test_trial_steps_foretell_what_a_training_allocates(float_device, options):
