@@ -127,8 +127,9 @@ def main(argv):
     names = [name for name, _, _ in programs]
     whole = [scene for scene in options.scenes if all((name, scene) in results for name in names)]
     tables = [budget_table(results, names, whole,
-                           list(map(float, options.budgets.split(",")))),
-              race_table(results, names, whole)]
+                           list(map(float, options.budgets.split(","))))]
+    if options.peer:
+        tables.append(race_table(results, names, whole))
     (options.out / "waiting.md").write_text("\n\n".join(map(markdown, tables)) + "\n")
     keep(options.keep, tables, f"python -m tools.studies.waiting {shlex.join(argv)}", "see commit")
     refuse(failed)
