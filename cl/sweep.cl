@@ -30,8 +30,6 @@ typedef struct {
     real values[SIDE * SIDE];
     real mean, variance;
 } Window;
-#define EACH_ROW(stride) for (int row = 0; row < SIDE; row += (stride))
-#define EACH_COLUMN(stride) for (int column = 0; column < SIDE; column += (stride))
 #define TAPS(stride) (((SIDE - 1) / (stride) + 1) * ((SIDE - 1) / (stride) + 1))
 
 INLINE void load_window(Window *window, __global const real *restrict image, int width, int x,
@@ -40,11 +38,12 @@ INLINE void load_window(Window *window, __global const real *restrict image, int
     const int taps = TAPS(stride);
     real sum = 0, squares = 0;
     int tap = 0;
-    EACH_ROW(stride) EACH_COLUMN(stride) {
-        const real value = image[(long)(y + row - REACH) * width + x + column - REACH];
-        window->values[tap++] = value;
-        sum += value;
-    }
+    for (int row = 0; row < SIDE; row += stride)
+        for (int column = 0; column < SIDE; column += stride) {
+            const real value = image[(long)(y + row - REACH) * width + x + column - REACH];
+            window->values[tap++] = value;
+            sum += value;
+        }
     for (tap = 0; tap < taps; tap++) {
         window->values[tap] -= sum / taps;
         squares += window->values[tap] * window->values[tap];
@@ -92,14 +91,15 @@ INLINE real correlation(const Window *window, int stride, real x, real y, real i
     const int taps = TAPS(stride);
     real sum = 0, squares = 0, products = 0;
     int tap = 0;
-    EACH_ROW(stride) EACH_COLUMN(stride) {
-        const real dx = column - REACH, dy = row - REACH;
-        const real value = sampled(image, width, size, u + dx * by_x.x + dy * by_y.x,
-                                   v + dx * by_x.y + dy * by_y.y) - window->mean;
-        sum += value;
-        squares += value * value;
-        products += value * window->values[tap++];
-    }
+    for (int row = 0; row < SIDE; row += stride)
+        for (int column = 0; column < SIDE; column += stride) {
+            const real dx = column - REACH, dy = row - REACH;
+            const real value = sampled(image, width, size, u + dx * by_x.x + dy * by_y.x,
+                                       v + dx * by_x.y + dy * by_y.y) - window->mean;
+            sum += value;
+            squares += value * value;
+            products += value * window->values[tap++];
+        }
     const real variance = squares / taps - sum / taps * (sum / taps);
     if (!(variance >= (real)LEAST_VARIANCE)) // nor for a nan
         return NO_MATCH;

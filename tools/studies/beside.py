@@ -10,16 +10,13 @@ are seconds of this checkout and of OTHER, `same` whether the gaussians are equa
 import argparse
 import hashlib
 import json
-import os
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 from clsplat.io.models.ply import read_ply
 from clsplat.io.runs.run import RunFolder
-from tools.studies.study import flags_after
+from tools.studies.study import flags_after, timed_training
 
 THIS = Path(__file__).resolve().parents[2]
 
@@ -27,12 +24,8 @@ THIS = Path(__file__).resolve().parents[2]
 def trained(checkout, scene, seed, flags):
     """(seconds of training, seconds of the process, digest of the gaussians) of a training."""
     with tempfile.TemporaryDirectory() as folder:
-        run, begin = Path(folder) / "run", time.perf_counter()
-        subprocess.run([sys.executable, "-m", "clsplat", "train", scene.resolve(), "-o", run, "-q",
-                        "--seed", str(seed), *flags], check=True, cwd=folder,
-                       env={**os.environ, "PYTHONPATH": os.pathsep.join(  # the packages stay
-                           [str(checkout.resolve()), os.environ.get("PYTHONPATH", "")])})
-        process = time.perf_counter() - begin
+        run = Path(folder) / "run"
+        process = timed_training(scene, run, ["--seed", str(seed), *flags], checkout)
         evaluation = [each for each in RunFolder(run).records() if each["event"] == "eval"][-1]
         model = read_ply(run / "point_cloud.ply")
         digest = hashlib.sha256(b"".join(each.tobytes() for each in model.rows.values()))

@@ -1,8 +1,11 @@
 """What the studies share: arguments, tables, and how these become evidence."""
 
 import json
+import os
 import re
+import subprocess
 import sys
+import time
 from datetime import date
 from pathlib import Path
 
@@ -30,6 +33,20 @@ class Scene:
         self.name = Path(self.path).resolve().name
         if self.downscale != 1:
             self.name += f"-r{number}"
+
+
+def timed_training(scene, run, flags, checkout=None):
+    """Train a scene into the folder `run` by a process of its own; returns its seconds.
+
+    `checkout` is that of clsplat, None for this one; the packages are those of this process.
+    """
+    root = Path(checkout or Path(__file__).parents[2]).resolve()
+    paths = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
+    begin = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "clsplat", "train", Path(scene).resolve(), "-o",
+                    Path(run).resolve(), "-q", *flags], check=True, cwd=Path(run).resolve().parent,
+                   env={**os.environ, "PYTHONPATH": paths})
+    return time.perf_counter() - begin
 
 
 def flags_after(argv):

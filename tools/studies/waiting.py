@@ -14,7 +14,6 @@ import argparse
 import json
 import shlex
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -23,7 +22,16 @@ import numpy as np
 
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.page import Table
-from tools.studies.study import cell, flags_after, keep, keeps, markdown, outermost, refuse
+from tools.studies.study import (
+    cell,
+    flags_after,
+    keep,
+    keeps,
+    markdown,
+    outermost,
+    refuse,
+    timed_training,
+)
 
 OURS = "clsplat"
 SCORES = "cc_psnr", "psnr", "ssim"
@@ -32,16 +40,15 @@ SCORES = "cc_psnr", "psnr", "ssim"
 def trained(scene, steps, flags):
     """The scores of a training by clsplat, and its seconds."""
     with tempfile.TemporaryDirectory() as folder:
-        run, begin = Path(folder) / "run", time.perf_counter()
+        run = Path(folder) / "run"
         length = [] if steps == "auto" else ["-n", steps]
-        subprocess.run([sys.executable, "-m", "clsplat", "train", scene, "-o", run, "-q", *length,
-                        *flags], check=True)
-        seconds = time.perf_counter() - begin
+        seconds = timed_training(scene, run, [*length, *flags])
         records = list(RunFolder(run).records())
         scores = [record for record in records if record["event"] == "eval"][-1]
         return {"cc_psnr": scores["psnr_cc"], "psnr": scores["psnr"], "ssim": scores["ssim"],
                 "gaussians": scores["gaussians"], "process_seconds": seconds,
-                "spent": records[-1].get("seconds")}
+                "spent": records[-1].get("seconds"),
+                "device": RunFolder(run).read_options()["opencl_device"]}
 
 
 def peer_trained(command, scene, steps):
@@ -131,7 +138,8 @@ def main(argv):
     if options.peer:
         tables.append(race_table(results, names, whole))
     (options.out / "waiting.md").write_text("\n\n".join(map(markdown, tables)) + "\n")
-    keep(options.keep, tables, f"python -m tools.studies.waiting {shlex.join(argv)}", "see commit")
+    keep(options.keep, tables, f"python -m tools.studies.waiting {shlex.join(argv)}",
+         " / ".join({made["device"] for scene in whole for made in results[OURS, scene]}))
     refuse(failed)
 
 
