@@ -10,7 +10,7 @@ import click
 
 from clsplat.cli.flags import FiniteRange, device_flag, moved_scene_flag
 
-PERCEPTUAL = ("flip", "flip_cc", "lpips", "lpips_cc")  # which older runs lack
+PERCEPTUAL = ("flip", "flip_cc", "lpips", "lpips_cc")  # which no training computes
 
 
 @click.command("eval")

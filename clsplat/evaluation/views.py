@@ -40,11 +40,11 @@ Valid = NDArray[np.bool_] | None  # [H, W], the pixels that count; None: all
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
 MOST_SAMPLED = 24  # training views from which to choose pictures, where no view is held out
 SCORING_BYTES = 1 << 30  # of host memory, for views that are scored at the same time
-SCORED_PIXEL_BYTES = 300  # of the double precision of SSIM, FLIP and the colour fit
+SCORED_PIXEL_BYTES = 300  # of the double precision of SSIM and the colour fit
 SAMPLED_SIDE = 1600  # pixels of their photos' longer sides at most; a page shows fewer
 Metric = Callable[[Image, Image, Valid], float]  # of an image and its photo
-METRICS: Mapping[str, Metric] = {"psnr": psnr, "ssim": ssim}  # of every evaluation
-FINAL_METRICS: Mapping[str, Metric] = {**METRICS, "flip": flip}  # of a finished model
+METRICS: Mapping[str, Metric] = {"psnr": psnr, "ssim": ssim}  # of a training
+FINAL_METRICS: Mapping[str, Metric] = {**METRICS, "flip": flip}  # of `clsplat eval`
 
 
 def final_metrics(lpips: str | PathLike[str] | None = None) -> Mapping[str, Metric]:

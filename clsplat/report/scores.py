@@ -134,8 +134,8 @@ def score_table(records: Sequence[Record]) -> Table | None:
     note = ("Means over the held-out views; cc: after a quadratic fit of each render's colours to "
             f"its photo. {EXPLAINED}")
     if len(columns) > len(COLUMNS) + 1:
-        note += (" FLIP and LPIPS, lower is better, are close to what people see; they are "
-                 "computed for the finished model only.")
+        note += (" FLIP and LPIPS, lower is better, are close to what people see; `clsplat eval` "
+                 "computes them.")
     return Table("", tuple(title for _, title, _ in columns), rows, range(len(columns)),
                  (note,)) if rows else None
 

@@ -18,7 +18,7 @@ from typing import Any
 
 from clsplat.config.option import is_auto
 from clsplat.errors import InputError
-from clsplat.evaluation.views import FINAL_METRICS, evaluate_views
+from clsplat.evaluation.views import evaluate_views
 from clsplat.options import seconds_of
 from clsplat.schedule.plan import Plan
 from clsplat.training.model import checkpoint_bytes
@@ -38,12 +38,11 @@ MOST_OVERHEAD = 0.5  # share of the budget that all but training may take
 
 
 def evaluation_seconds(session: Session) -> float:
-    """Seconds of the last evaluation, which has the most metrics; measured on one view."""
+    """Seconds of an evaluation, measured on one view."""
     seconds, view = 0.0, session.test_views[:1]
     for _ in range(2 if view else 0):  # the first compiles
         begin = time.perf_counter()
-        evaluate_views(session.renderer, session.model.rows, session.options.sh_degree, view,
-                       metrics=FINAL_METRICS)
+        evaluate_views(session.renderer, session.model.rows, session.options.sh_degree, view)
         seconds = time.perf_counter() - begin
     return seconds * len(session.test_views)
 

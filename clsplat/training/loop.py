@@ -204,7 +204,7 @@ class Training:
                 raise self.stopped()
             if not self.is_stage:
                 if self.evaluator.evaluated_at != self.session.iteration:
-                    self.evaluator.evaluate(final=True)
+                    self.evaluator.evaluate()
                 self.progress.phase("writing the model")
                 written.result()
                 self.recorder.log("time", seconds=self.progress.spent())

@@ -10,7 +10,7 @@ import numpy as np
 from clsplat.config.option import is_auto
 from clsplat.device import Device
 from clsplat.errors import InputError, StopTraining
-from clsplat.evaluation.views import FINAL_METRICS, METRICS, evaluate_views
+from clsplat.evaluation.views import evaluate_views
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.scores import disturbed, is_upheaval, main_key
 from clsplat.training.progress import SilentProgress
@@ -181,9 +181,8 @@ class Evaluator:
         return (self._all_seconds + self.latest_seconds
                 <= EVALUATION_SHARE * self.clock.elapsed())
 
-    def evaluate(self, final: bool = False) -> None:
-        """Evaluate and record the metrics, outside of training time, if any view is held out; the
-        last time by FINAL_METRICS."""
+    def evaluate(self) -> None:
+        """Evaluate and record the metrics, outside of training time, if any view is held out."""
         session, progress = self.session, self.recorder.progress
         if not session.test_views:
             return
@@ -193,7 +192,6 @@ class Evaluator:
             session.step.release()  # frames of evaluation have other sizes
             result = evaluate_views(session.renderer, session.model.current_rows(),
                                     session.options.sh_degree, session.test_views,
-                                    metrics=FINAL_METRICS if final else METRICS,
                                     predicted=session.predicted())
             session.device.trim()
         self.latest_seconds = time.perf_counter() - begin
@@ -212,8 +210,7 @@ class Evaluator:
                    + ", their colours fitted, as exposures are learned" * (key == "psnr_cc"))
             yield f"{'step':>7}{'PSNR, dB':>10}{'SSIM':>9}{'gaussians':>13}{'training':>11}"
         ssim = result[key.replace("psnr", "ssim")]
-        note = (f"FLIP {result['flip']:.4f}" if "flip" in result else
-                disturbed(self.recorder.upheavals, self.session.iteration))
+        note = disturbed(self.recorder.upheavals, self.session.iteration)
         yield (f"{self.session.iteration:>7}{result[key]:>10.2f}{ssim:>9.4f}"
                f"{self.session.model.count:>13,}{self.clock.trained():>9.1f} s  {note}"
                ).rstrip()

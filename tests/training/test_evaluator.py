@@ -18,8 +18,6 @@ USUAL = ["750", "12.38", "0.5000", "35,840", "29.0", "s"]
      ["750", "25.48", "0.7500", "35,840", "29.0", "s"], ""),
     ({**PLAIN, "views": 1}, {"grow": 711}, "scores of 1 held-out photo",
      USUAL, "gaussians just added"),
-    ({**PLAIN, "flip": 0.125}, {"grow": 749}, "scores of 5 held-out photos",
-     USUAL, "FLIP 0.1250"),
     ({**PLAIN, "psnr": float("nan")}, {}, "scores of 5 held-out photos",
      ["750", "nan", "0.5000", "35,840", "29.0", "s"], ""),
     ({**PLAIN, "psnr": float("inf")}, {"reset": 749}, "scores of 5 held-out photos",
