@@ -9,8 +9,9 @@
 // compares every second column and row of them; then all pixels are compared on FINE planes around
 // the best, half as far apart, and a parabola through the scores of three refines w.
 //
-// images: real[V, H, W], grey, 0 to 1; nan where a pixel does not count, and beyond a photo that is
-// smaller than the others. sizes: int[V, 2], (width, height). sources: int[S], the compared ones;
+// images: real[V, H, W, 2], the grey of a pixel and of the one to its right, 0 to 1; nan where a
+// pixel does not count, and beyond a photo that is smaller than the others. As pairs, a sample has
+// half of the reads, for which a CPU waits most. sizes: int[V, 2], (width, height). sources: int[S], the compared ones;
 // warps: real[S, 12]: A (3x3, by rows) and b, with which the pixel (x, y) at inverse depth w lies
 // at A (x, y, 1) + w b in the source, homogeneous.
 // inverse_depths, scores: real[H, W]; both 0 where the window leaves the photo or has no texture,
@@ -32,7 +33,7 @@ typedef struct {
 } Window;
 #define TAPS(stride) (((SIDE - 1) / (stride) + 1) * ((SIDE - 1) / (stride) + 1))
 
-INLINE void load_window(Window *window, __global const real *restrict image, int width, int x,
+INLINE void load_window(Window *window, __global const real2 *restrict image, int width, int x,
                         int y, int stride)
 {
     const int taps = TAPS(stride);
@@ -40,7 +41,7 @@ INLINE void load_window(Window *window, __global const real *restrict image, int
     int tap = 0;
     for (int row = 0; row < SIDE; row += stride)
         for (int column = 0; column < SIDE; column += stride) {
-            const real value = image[(long)(y + row - REACH) * width + x + column - REACH];
+            const real value = image[(y + row - REACH) * width + x + column - REACH].x;
             window->values[tap++] = value;
             sum += value;
         }
@@ -54,15 +55,15 @@ INLINE void load_window(Window *window, __global const real *restrict image, int
 
 // Bilinear sample at (u, v), where the centre of pixel (0, 0) is (0.5, 0.5); beyond the border of
 // the photo, that of the border.
-INLINE real sampled(__global const real *restrict image, int width, int2 size, real u, real v)
+INLINE real sampled(__global const real2 *restrict image, int width, int2 size, real u, real v)
 {
     const real x = fmin(fmax(u - (real)0.5, (real)0), (real)(size.x - 1)); // 0 for a nan
     const real y = fmin(fmax(v - (real)0.5, (real)0), (real)(size.y - 1));
     const int x0 = min((int)x, size.x - 2), y0 = min((int)y, size.y - 2);
     const real fx = x - x0, fy = y - y0;
-    __global const real *upper = image + (long)y0 * width + x0, *lower = upper + width;
-    const real above = upper[0] + fx * (upper[1] - upper[0]);
-    const real below = lower[0] + fx * (lower[1] - lower[0]);
+    const real2 upper = image[y0 * width + x0], lower = image[y0 * width + x0 + width];
+    const real above = upper.x + fx * (upper.y - upper.x);
+    const real below = lower.x + fx * (lower.y - lower.x);
     return above + fy * (below - above);
 }
 
@@ -76,7 +77,7 @@ INLINE real3 warped(real x, real y, real inverse_depth, __global const real *res
 // The correlation of a window around (x, y) with its place in a source; NO_MATCH where that lies
 // outside, or has no texture.
 INLINE real correlation(const Window *window, int stride, real x, real y, real inverse_depth,
-                        __global const real *restrict image, int width, int2 size,
+                        __global const real2 *restrict image, int width, int2 size,
                         __global const real *restrict warp)
 {
     const real3 q = warped(x, y, inverse_depth, warp);
@@ -107,7 +108,7 @@ INLINE real correlation(const Window *window, int stride, real x, real y, real i
 }
 
 #define SOURCES                                                                                    \
-    int width, int source_count, __global const real *restrict images,                             \
+    int width, int source_count, __global const real2 *restrict images,                            \
         __global const int *restrict sizes, __global const int *restrict sources,                  \
         __global const real *restrict warps
 #define THE_SOURCES width, source_count, images, sizes, sources, warps
@@ -127,7 +128,7 @@ INLINE real score_of(const Window *window, int stride, real x, real y, real inve
 }
 
 __kernel void sweep(int width, int height, int reference, int source_count, int planes, real first,
-                    real spacing, __global const real *restrict images,
+                    real spacing, __global const real2 *restrict images,
                     __global const int *restrict sizes, __global const int *restrict sources,
                     __global const real *restrict warps, __global real *restrict inverse_depths,
                     __global real *restrict scores)
@@ -135,7 +136,7 @@ __kernel void sweep(int width, int height, int reference, int source_count, int 
     const long plane = (long)width * height, i = get_global_id(0);
     if (i >= plane)
         return;
-    __global const real *own = images + reference * plane;
+    __global const real2 *own = images + reference * plane;
     const int2 size = vload2(reference, sizes);
     const int column = i % width, row = i / width;
     const real x = column + (real)0.5, y = row + (real)0.5;
@@ -187,9 +188,9 @@ __kernel void sweep(int width, int height, int reference, int source_count, int 
 // relative difference below `same_depth`. The pixel's point lies at the inverse depth w / q.z of
 // the source, where q is its warped place.
 //
-// inverse_depths: real[V, H, W], 0 where there is none. confirmed: uint[H, W].
+// inverse_depths: real[V, H, W, 2] as `images`, 0 where there is none. confirmed: uint[H, W].
 __kernel void confirm(int width, int height, int reference, int source_count, real same_depth,
-                      __global const real *restrict inverse_depths,
+                      __global const real2 *restrict inverse_depths,
                       __global const int *restrict sizes, __global const int *restrict sources,
                       __global const real *restrict warps, __global uint *restrict confirmed)
 {
@@ -197,7 +198,7 @@ __kernel void confirm(int width, int height, int reference, int source_count, re
     if (i >= plane)
         return;
     const real x = i % width + (real)0.5, y = i / width + (real)0.5;
-    const real w = inverse_depths[reference * plane + i];
+    const real w = inverse_depths[reference * plane + i].x;
     uint found = 0;
     for (int s = 0; s < source_count; s++) {
         const real3 q = warped(x, y, w, warps + 12 * s);
@@ -205,7 +206,7 @@ __kernel void confirm(int width, int height, int reference, int source_count, re
         const real u = q.x / q.z, v = q.y / q.z;
         if (!(q.z > 0 && u >= 0 && v >= 0 && u < size.x && v < size.y)) // nor for a nan
             continue;
-        const real there = q.z * inverse_depths[sources[s] * plane + (long)v * width + (int)u];
+        const real there = q.z * inverse_depths[sources[s] * plane + (int)v * width + (int)u].x;
         found += fabs(w - there) < same_depth * there;
     }
     confirmed[i] = found;

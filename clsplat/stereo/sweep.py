@@ -14,13 +14,13 @@ from clsplat.device import Array, Device, Kernel, items
 SWEEP = Kernel(
     "sweep.cl", "sweep", items("width height", "SCAN_GROUP"), width="int", height="int",
     reference="int", source_count="int", planes="int", first="real", spacing="real",
-    images=("real", "V", "H", "W"), sizes=("int", "V", 2), sources=("int", "S"),
+    images=("real", "V", "H", "W", 2), sizes=("int", "V", 2), sources=("int", "S"),
     warps=("real", "S", 12),
     inverse_depths=("real", "H", "W"), scores=("real", "H", "W"))
 CONFIRM = Kernel(
     "sweep.cl", "confirm", items("width height", "SCAN_GROUP"), width="int", height="int",
     reference="int", source_count="int", same_depth="real",
-    inverse_depths=("real", "V", "H", "W"), sizes=("int", "V", 2), sources=("int", "S"),
+    inverse_depths=("real", "V", "H", "W", 2), sizes=("int", "V", 2), sources=("int", "S"),
     warps=("real", "S", 12), confirmed=("uint", "H", "W"))
 
 
@@ -30,11 +30,11 @@ def sweep(images: Array, sizes: Array, cameras: Sequence[Camera], reference: int
     """The inverse depth of each pixel of a reference, real[H, W], 1 / world unit, and how alike its
     window looks in at least two sources, real[H, W], from -1 to 1; 0 where there is none.
 
-    `images` are grey photos real[V, H, W], 0 to 1, nan where a pixel does not count, of `sizes`
-    int[V, 2] (width, height); `inverse_depths` are those of the first and the last of at least
+    `images` and `sizes` are the `device_images` of grey photos, 0 to 1, nan where a pixel does not
+    count; `inverse_depths` are those of the first and the last of at least
     three `planes`.
     """
-    device, (_, height, width) = images.device, images.shape
+    device, (_, height, width, _) = images.device, images.shape
     first, last = inverse_depths
     found = device.empty((height, width)), device.empty((height, width))
     device.launch(
@@ -49,10 +49,10 @@ def confirm(inverse_depths: Array, sizes: Array, cameras: Sequence[Camera], refe
             sources: Sequence[int], same_depth: float) -> Array:
     """How many sources have the depth of a pixel of the reference where it projects to, uint[H, W].
 
-    `inverse_depths` are real[V, H, W], 1 / world unit, of each photo's pixels, 0 where there is
-    none; depths are the same whose relative difference is below `same_depth`.
+    `inverse_depths` and `sizes` are the `device_images` of those of each photo's pixels, 1 / world
+    unit, 0 where there is none; depths are the same whose relative difference is below `same_depth`.
     """
-    device, (_, height, width) = inverse_depths.device, inverse_depths.shape
+    device, (_, height, width, _) = inverse_depths.device, inverse_depths.shape
     confirmed = device.empty((height, width), np.uint32)
     device.launch(
         CONFIRM, width=width, height=height, reference=reference, source_count=len(sources),
@@ -88,10 +88,11 @@ def _intrinsics(camera: Camera, first_centre: float) -> NDArray[np.float64]:
 
 
 def device_images(device: Device, photos: Sequence[NDArray[np.floating]]) -> tuple[Array, Array]:
-    """`images` and `sizes` of `sweep`, from photos [h, w] of any sizes."""
+    """Photos [h, w] of any sizes on the device: real[V, H, W, 2], each pixel with the one to its
+    right, and the sizes int[V, 2] (width, height)."""
     sizes = np.array([photo.shape[::-1] for photo in photos], np.int32)
     width, height = sizes.max(axis=0)
-    images = np.full((len(photos), height, width), np.nan)
-    for image, photo in zip(images, photos):
-        image[:photo.shape[0], :photo.shape[1]] = photo
+    images = np.full((len(photos), height, width, 2), np.nan, device.real)
+    for image, photo, (w, h) in zip(images, photos, sizes):
+        image[:h, :w, 0], image[:h, :w - 1, 1] = photo, photo[:, 1:]
     return device.upload(images), device.upload(sizes)
