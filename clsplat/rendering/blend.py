@@ -162,6 +162,14 @@ def _of_features(features: Features | None) -> tuple[Defines, dict[str, Array | 
             {"visible": features.visible, "features": features.rows})
 
 
+def _of_response(exposure: Exposure | None) -> Defines:
+    """The build-time choices that follow from a response; without one both kernels have the same,
+    so that they are compiled together."""
+    if exposure is None:
+        return ()
+    return ("WITH_RESPONSE", 1), ("WITH_VIGNETTING", int(exposure.lenses is not None))
+
+
 def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, background: Array,
           defines: Defines, result: Blended | None = None, exposure: Exposure | None = None,
           features: Features | None = None) -> Blended:
@@ -192,12 +200,10 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
         result.checkpoints = device.empty((*states, channels + 1))
         result.depth_checkpoints = device.empty(states) if with_depth else None
     choices, arguments = _of_features(features)
-    device.launch(BLEND, (*defines, *choices,
-                          ("WITH_RESPONSE", int(exposure is not None)),
-                          ("WITH_VIGNETTING", int(response["lenses"] is not None))),
-                  width=width, height=height, first_tile=pairs.tiles.start,
-                  background=background, ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
-                  splats=splats, **arguments, image=result.image,
+    device.launch(BLEND, (*defines, *choices, *_of_response(exposure)), width=width,
+                  height=height, first_tile=pairs.tiles.start, background=background,
+                  ranges=pairs.ranges, sorted_splats=pairs.sorted_splats, splats=splats,
+                  **arguments, image=result.image,
                   transmittance=result.transmittance, last_contributor=result.last_contributor,
                   depth=result.depth_channel, **response, exposed=result.exposed,
                   bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,
