@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from clsplat.camera import Camera
     from clsplat.scene import Scene, View
 
-SIDE = 256  # pixels: the longer side of the photos that are compared
 SOURCES = 4  # photos with which each is compared
 PLANES = 96
 BATCH = 32  # photos that are on the device together with their sources

@@ -50,7 +50,8 @@ def confirm(inverse_depths: Array, sizes: Array, cameras: Sequence[Camera], refe
     """How many sources have the depth of a pixel of the reference where it projects to, uint[H, W].
 
     `inverse_depths` and `sizes` are the `device_images` of those of each photo's pixels, 1 / world
-    unit, 0 where there is none; depths are the same whose relative difference is below `same_depth`.
+    unit, 0 where there is none; depths are the same whose relative difference is below
+    `same_depth`.
     """
     device, (_, height, width, _) = inverse_depths.device, inverse_depths.shape
     confirmed = device.empty((height, width), np.uint32)

@@ -37,11 +37,10 @@ from clsplat.training.checkpoint import Checkpoint, damaged, saved_gaussians
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.part import Part
-from clsplat.training.photos import THREADS, decoded, size_note
+from clsplat.training.photos import THREADS, size_note
 from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Clock, Evaluator, Recorder, broken
-from clsplat.training.session import Session
-from clsplat.training.start.initialise import first_gaussians
+from clsplat.training.start.begin import begin
 from clsplat.training.start.prepare import find_warnings, is_stage, prepare
 from clsplat.training.step import Measured
 
@@ -146,15 +145,8 @@ class Training:
         self._scene, self.clock = scene, Clock(device)
         progress.phase("planning")
         prepared = prepare(scene, options, device, parts)
-        self._start_seconds = 0.0
-        if gaussians is None:
-            gaussians, self._start_seconds = first_gaussians(device, prepared, progress)
-        schedule = prepared.schedule(gaussians)
-        progress.phase("reading photos")
-        for _ in decoded(prepared.test_views):
-            pass  # a damaged photo would stop the run at its evaluation
-        self.session = Session(prepared, device, gaussians, schedule, progress=progress,
-                               folder=run.path, level=level)
+        self.session, self._start_seconds = begin(prepared, device, run.path, progress, gaussians,
+                                                  level)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
         self.deadline = Deadline(self.session, self.clock, evaluation_seconds(self.session)
@@ -169,6 +161,7 @@ class Training:
         session, (scene, options) = self.session, self._given
         warnings = list(find_warnings(session.scene, session.prepared.thumbnails,
                                       session.step.count))
+        session.prepared.thumbnails.forget()
         self.run.write_options({**dataclasses.asdict(options),
                                 **trained_on(scene, options.init, session.device, self.is_stage),
                                 "decisions": session.decisions.values})

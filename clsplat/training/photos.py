@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from io import BufferedRandom, BytesIO
+from itertools import chain
 from pathlib import Path
 from threading import Lock
 
@@ -37,7 +38,7 @@ MOST_THREADS = 8  # that read photos
 HALF_THE_CORES = min(MOST_THREADS, (os.cpu_count() or 2) // 2)
 THREADS = max(2, HALF_THE_CORES)  # while nothing else runs
 THREADS_BESIDE = max(1, HALF_THE_CORES)  # beside a training
-SMALL_SIDE = 256  # pixels of thumbnails; brightness and colours need no more
+SMALL_SIDE = 256  # pixels of thumbnails; brightness, colours and depth need no more
 Photo = NDArray[np.uint8]
 
 
@@ -142,6 +143,10 @@ class Thumbnails:
         self._photos |= zip(new, decoded(new.values()))
         return small, [self._photos[key] for key in keys]
 
+    def forget(self) -> None:
+        """Drop all photos, to have their memory for other things."""
+        self._photos.clear()
+
     def sampled(self, most: int) -> tuple[tuple[View, ...], list[Photo]]:
         """`of` at most so many evenly spaced views."""
         return self.of(range(0, len(self.views), -(-len(self.views) // most)))
@@ -214,13 +219,46 @@ class PhotoStore:
                 self._file.close()
 
 
+def _budget(device: Device) -> float:
+    """The bytes that photos may take on a device."""
+    return DEVICE_SHARE * device.handle.global_mem_size
+
+
+def _photo_bytes(view: View) -> int:
+    """Of a view's photo, on the device and in host memory."""
+    return math.prod(photo_array(view).shape)
+
+
+def _stored(views: Sequence[View], threads: int, budget: int, folder: Path | None) -> PhotoStore:
+    return PhotoStore(list(map(_photo_bytes, views)), lambda index: decode(views[index]),
+                      _at_once(views, threads, budget), folder)
+
+
+def begin_photos(device: Device, views: Sequence[View], level: float, folder: Path) -> PhotoStore:
+    """Begin to decode the photos of a training's first level for `Photos`: where they will stay on
+    the device, the first ones, as many as may wait in host memory, else all."""
+    views = at_level(views, level)
+    ends = np.cumsum(list(map(_photo_bytes, views)))
+    if ends[-1] <= _budget(device):
+        views = views[:int((ends <= IN_MEMORY_BYTES).sum())]
+    return _stored(views, THREADS, HOST_BYTES // 2, folder)
+
+
+def begin_checks(views: Sequence[View]) -> PhotoStore:
+    """Begin to decode photos of which nothing is kept: `wait` raises InputError at a damaged one.
+    """
+    return PhotoStore([0] * len(views), lambda index: decode(views[index])[:0],
+                      _at_once(views, THREADS, HOST_BYTES // 2))
+
+
 class Photos:
     """`photos[i]` is view i's photo at the present level on the device, as `decode` returns it.
 
     The photos of a level that fits the budget are read once and stay on the device. Those of other
     levels are decoded into a `PhotoStore` and read from it, one ahead: `expect` announces the
     next. While a level is trained, the photos of the next are decoded into a store of their own.
-    All photos are decoded at the start, so that a damaged one is refused before a run begins.
+    All photos are decoded at the start, so that a damaged one is refused before a run begins;
+    `begun` is a level and the store into which these are decoded already (`begin_photos`).
 
     `views` have cameras of the size of level 1; `levels` are down-sampling factors in the order in
     which they will come, from `level`, or for 0 from the first. `budget_bytes` is the limit for
@@ -231,14 +269,13 @@ class Photos:
 
     def __init__(self, device: Device, views: Sequence[View], levels: Sequence[float] = (1.0,),
                  budget_bytes: int | None = None, folder: Path | None = None,
-                 level: float = 0.0) -> None:
+                 level: float = 0.0, begun: tuple[float, PhotoStore] | None = None) -> None:
         self.device, self._full, self._levels, self._folder = device, views, levels, folder
-        self._budget = (DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None
-                        else budget_bytes)
+        self._budget = _budget(device) if budget_bytes is None else budget_bytes
         self._threads = ThreadPoolExecutor(1)
         self._ahead: dict[int, Future[Photo]] = {}
         # level -> its photos: of this level, if it is not resident, and of the next
-        self._stores: dict[float, PhotoStore] = {}
+        self._stores: dict[float, PhotoStore] = dict([begun] if begun else [])
         self.level = 0.0  # none yet
         # of views that are `weighed`, the cells whose pixels are left out besides those that do not
         # count anyway (parts/outlier_masks.py); None: none were looked for yet
@@ -251,8 +288,7 @@ class Photos:
             return
         begin = time.perf_counter()
         first, self.level, self.views = not self.level, level, at_level(self._full, level)
-        self.resident = sum(photo_array(view).nbytes(self.device.real)
-                            for view in self.views) <= self._budget
+        self.resident = sum(map(_photo_bytes, self.views)) <= self._budget
         for pending in self._ahead.values():
             pending.cancel()
         self._ahead.clear()
@@ -260,30 +296,26 @@ class Photos:
         self._close_stores()
         self._arrays: list[Array] = []
         if self.resident:
-            photos = (map(store.read, range(len(self.views))) if store else decoded(self.views))
+            kept = store.count if store else 0
+            photos = chain(map(store.read, range(kept)) if store else (),
+                           decoded(self.views[kept:]))
             self._arrays = [self.device.upload(photo) for photo in photos]
             if store:
                 store.close()
         else:
-            if store is None:
-                store = self._stored(self.views, THREADS, HOST_BYTES)
-                if first:
-                    store.wait()
-                    for _ in decoded(self.views[store.count:]):
-                        pass
+            store = store or _stored(self.views, THREADS, HOST_BYTES, self._folder)
+            if first:
+                store.wait()
+                for _ in decoded(self.views[store.count:]):
+                    pass
             self._stores[level] = store
         if self.ignored is not None:
             self.ignore([resampled(cells, view.camera.height, view.camera.width)
                          for cells, view in zip(self.ignored, self.views)])
         self.read_seconds = time.perf_counter() - begin
         for following in [new for new in self._levels if new < level][:1]:
-            self._stores[following] = self._stored(
-                at_level(self._full, following), THREADS_BESIDE, HOST_BYTES // 2)
-
-    def _stored(self, views: Sequence[View], threads: int, budget: int) -> PhotoStore:
-        return PhotoStore([math.prod(photo_array(view).shape) for view in views],
-                          lambda index: decode(views[index]), _at_once(views, threads, budget),
-                          self._folder)
+            self._stores[following] = _stored(at_level(self._full, following), THREADS_BESIDE,
+                                              HOST_BYTES // 2, self._folder)
 
     def _close_stores(self) -> None:
         for store in self._stores.values():

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -37,16 +36,14 @@ AnyPart = TypeVar("AnyPart", bound=Part)
 class Session:
     """The state of a training after `iteration` steps.
 
-    The schedule decides level and growth; without one the caller does, and gives `photos`. `folder`
-    and the first `level` are as in `Photos`. The attribute `level` is the down-sampling factor of
-    the training images, `cameras` are their packed cameras, and `options` may be replaced between
-    steps (`lay_over`).
+    The schedule decides level and growth; without one the caller does. The attribute `level` is
+    the down-sampling factor of the training images, `cameras` are their packed cameras, and
+    `options` may be replaced between steps (`lay_over`).
     """
 
     def __init__(self, prepared: PreparedScene, device: Device, gaussians: Gaussians,
-                 schedule: Schedule | None = None, photos: Photos | None = None,
-                 progress: SilentProgress | None = None, folder: Path | None = None,
-                 level: float = 0.0) -> None:
+                 photos: Photos, schedule: Schedule | None = None,
+                 progress: SilentProgress | None = None) -> None:
         self.device, self.progress = device, progress or SilentProgress()
         if schedule is not None:
             self.schedule = schedule
@@ -55,8 +52,7 @@ class Session:
         self.options = options = prepared.options
         self.renderer = Renderer(device, options.sh_degree, prepared.near, options.antialiased,
                                  options.background)
-        self.photos = photos or Photos(device, self.train_views, self.schedule.levels,
-                                       folder=folder, level=level)
+        self.photos = photos
         self.iteration, self.level = 0, 0.0
         self.parts = parts_of(prepared)
         for part in self.parts:

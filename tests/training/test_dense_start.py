@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import clsplat.stereo.dense_points as dense_points_module
+import clsplat.training.start.begin as start_module
 from clsplat.errors import InputError
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.stereo.dense_points import stereo_views
-from clsplat.training import loop
 from clsplat.training.part import Survey
 from clsplat.training.progress import SilentProgress
 from clsplat.training.start.initialise import (
@@ -83,10 +83,34 @@ def test_initial_gaussians_are_as_many_as_were_planned(city, float_device, monke
     assert start_seconds(float_device, prepare(city, replace(options, init="sfm"))) == 0
 
 
+def test_photos_are_read_during_the_search(city, item_device, tmp_path, monkeypatch):
+    """Those of the first level and of the test views; no thread outlives a search that fails."""
+    begun = []
+
+    def noted(reads):
+        def call(*given):
+            begun.append(reads(*given))
+            return begun[-1]
+        return call
+
+    def search(*given):
+        for store in begun:
+            store.wait()
+        raise InputError("there are no points")
+
+    for reads in (start_module.begin_checks, start_module.begin_photos):
+        monkeypatch.setattr(start_module, reads.__name__, noted(reads))
+    monkeypatch.setattr(start_module, "first_gaussians", search)
+    with pytest.raises(InputError, match="there are no points"):
+        trained(tmp_path / "run", city, item_device)
+    assert len(begun) == 2 and all(store._threads._shutdown for store in begun)
+    assert not list((tmp_path / "run").glob("*.json"))
+
+
 @pytest.mark.slow
 def test_a_training_begins_there_and_counts_the_time(city, item_device, tmp_path, monkeypatch):
     """The time of dense points is time of the training, also after it was resumed."""
-    monkeypatch.setattr(loop, "first_gaussians",
+    monkeypatch.setattr(start_module, "first_gaussians",
                         lambda *given: (first_gaussians(*given)[0], 1e3))
     run = trained(tmp_path / "run", city, item_device, schedule="sig", iterations=32 * LEAST_STEPS,
                   init="dense", stop_at=20, levels=(1.0,))

@@ -14,7 +14,7 @@ from clsplat.io.photos.images import read_image, write_image
 from clsplat.io.photos.views import photo_bands
 from clsplat.scene import View
 from clsplat.training import photos as module
-from clsplat.training.photos import Photos, decoded, epoch_order
+from clsplat.training.photos import Photos, begin_checks, begin_photos, decoded, epoch_order
 
 WIDTH, HEIGHT = 20, 14
 
@@ -117,6 +117,11 @@ def test_a_damaged_photo_is_refused_at_the_start(item_device, views, levels, bud
         Photos(item_device, views, levels, budget)
     with pytest.raises(InputError, match="3.png"):
         list(decoded(views))
+    with pytest.raises(InputError, match="3.png"):
+        begin_checks(views).wait()
+    begun = begin_photos(item_device, views, levels[0], views[3].source.parent)
+    with pytest.raises(InputError, match="3.png"):
+        Photos(item_device, views, levels, budget, begun=(levels[0], begun))
 
 
 def test_twelve_photos_of_50_megapixels_leave_room_in_host_memory(views, monkeypatch):
@@ -140,6 +145,22 @@ def test_each_level_is_read_once_and_ahead_of_its_use(item_device, views, reads)
         photos.use(level)
         photos.expect(0)
         assert not reads
+    photos.close()
+
+
+@pytest.mark.parametrize("share, in_memory, kept", [(0.25, 4, 4), (0.25, 2, 2), (0, 2, 4)])
+def test_photos_that_were_begun_are_not_read_again(item_device, views, reads, monkeypatch, tmp_path,
+                                                   share, in_memory, kept):
+    """Those that will stay on the device wait in memory, as many as may; others also in a file."""
+    monkeypatch.setattr(module, "DEVICE_SHARE", share)
+    monkeypatch.setattr(module, "IN_MEMORY_BYTES", in_memory * bytes_at(2) // 4)
+    begun = begin_photos(item_device, views, 2.0, tmp_path)
+    begun.wait()
+    assert begun.count == kept and sorted(reads) == all_at(WIDTH // 2)[:kept]
+    photos = Photos(item_device, views, (4.0, 2.0, 1.0), level=2.0, begun=(2.0, begun))
+    idle(photos)
+    assert sorted(reads) == sorted(all_at(WIDTH // 2) + all_at(WIDTH))
+    assert photos.resident is bool(share) and is_at(photos, views, 2)
     photos.close()
 
 

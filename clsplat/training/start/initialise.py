@@ -23,9 +23,9 @@ from clsplat.options import SceneOptions, TrainOptions, seconds_of
 from clsplat.scene import Scene
 from clsplat.schedule.plan import SceneFacts
 from clsplat.schedule.registry import schedule_of
-from clsplat.stereo.dense_points import SIDE, dense_points, sweep_seconds
+from clsplat.stereo.dense_points import dense_points, sweep_seconds
 from clsplat.training.part import Survey
-from clsplat.training.photos import decoded, with_side
+from clsplat.training.photos import SMALL_SIDE, decoded, with_side
 from clsplat.training.progress import SilentProgress
 
 if TYPE_CHECKING:
@@ -149,9 +149,8 @@ def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentPro
 def _dense(device: Device, prepared: PreparedScene, progress: SilentProgress
            ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """As many dense points as the decisions say, and their colours."""
-    small = with_side(prepared.train_views, SIDE)
     progress.phase("finding dense points: reading photos")
-    photos = list(decoded(small))
+    small, photos = prepared.thumbnails.of(range(len(prepared.train_views)))
     return dense_points(
         device, prepared.scene, small, photos, prepared.decisions.facts.count,
         lambda done: progress.phase(f"finding dense points: photo {done} of {len(small)}"),
@@ -162,5 +161,5 @@ def start_seconds(device: Device, prepared: PreparedScene) -> float:
     """About how long it will take to find the initial gaussians."""
     if prepared.options.init != "dense":
         return 0.0
-    return sweep_seconds(device, prepared.scene, with_side(prepared.train_views, SIDE),
+    return sweep_seconds(device, prepared.scene, with_side(prepared.train_views, SMALL_SIDE),
                          lambda views: list(decoded(views)))

@@ -1,0 +1,43 @@
+"""A session before its first step: what the device finds, and what threads read meanwhile."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+from clsplat.device import Device
+from clsplat.gaussians import Gaussians
+from clsplat.training.photos import Photos, begin_checks, begin_photos
+from clsplat.training.progress import SilentProgress
+from clsplat.training.session import Session
+from clsplat.training.start.initialise import first_gaussians
+from clsplat.training.start.prepare import PreparedScene
+
+
+def begin(prepared: PreparedScene, device: Device, folder: Path, progress: SilentProgress,
+          gaussians: Gaussians | None = None, level: float = 0.0) -> tuple[Session, float]:
+    """A session that is ready for its first step, and the seconds in which its gaussians were
+    found; `gaussians` and `level` are those of a run that goes on.
+
+    Photos are decoded in threads while the device searches for dense points; no thread outlives an
+    error. InputError where a photo is damaged, also one of the test views, at which the run would
+    stop at its first evaluation.
+    """
+    seconds, levels = 0.0, prepared.decisions.values["levels"]
+    level = level or (levels or [0.0])[0]  # 0: only the schedule knows
+    with ExitStack() as reading:
+        checks = reading.enter_context(closing(begin_checks(prepared.test_views)))
+        begun = (level, reading.enter_context(closing(begin_photos(
+            device, prepared.train_views, level, folder)))) if level else None
+        if gaussians is None:
+            gaussians, seconds = first_gaussians(device, prepared, progress)
+        schedule = prepared.schedule(gaussians)
+        progress.phase("reading photos")
+        checks.wait()
+        checks.close()
+        photos = reading.enter_context(closing(Photos(
+            device, prepared.train_views, schedule.levels, folder=folder, level=level,
+            begun=begun)))
+        session = Session(prepared, device, gaussians, photos, schedule, progress)
+        reading.pop_all()
+    return session, seconds
