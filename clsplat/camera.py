@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from clsplat.errors import InputError
 
@@ -192,7 +192,8 @@ class Camera:
             sees turns about its centre.
         shift : float[3], world units; by which its centre moves, in the axes of this camera.
         """
-        turned = Rotation.from_rotvec(np.asarray(turn, np.float64)).as_matrix()
+        turned = scipy.spatial.transform.Rotation.from_rotvec(
+            np.asarray(turn, np.float64)).as_matrix()
         return replace(self, rotation=turned @ self.rotation,
                        translation=turned @ (self.translation - np.asarray(shift, np.float64)))
 

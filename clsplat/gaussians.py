@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from clsplat.constants import SH_C0
 from clsplat.errors import InputError
@@ -250,7 +250,8 @@ def _distances(points: NDArray[np.floating], neighbours: int
     typical = np.median(np.linalg.norm(distinct - np.median(distinct, axis=0), axis=1))
     size = min(np.linalg.norm(np.ptp(distinct, axis=0)), 10 * typical)
     k = min(neighbours, len(distinct) - 1)
-    tree = cKDTree(distinct, balanced_tree=False)  # in half of the time, and as good for queries
+    # in half of the time of a balanced one, and as good for queries
+    tree = scipy.spatial.cKDTree(distinct, balanced_tree=False)
     distance = tree.query(distinct, k=k + 1, workers=-1)[0][:, 1:]
     return distance, inverse, MINIMUM_DISTANCE * size
 

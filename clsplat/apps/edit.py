@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import skimage
 from numpy.typing import NDArray
-from skimage.measure import points_in_poly
 
 from clsplat.apps.models import in_original, support
 from clsplat.edit.select import merged, selected
@@ -126,7 +126,8 @@ class Source:
         points = self._points() @ map_axes(up).T
         inside = np.zeros(len(points), bool)
         for rings in polygons:
-            inside |= np.logical_xor.reduce([points_in_poly(points, ring) for ring in rings])
+            inside |= np.logical_xor.reduce([
+                skimage.measure.points_in_poly(points, ring) for ring in rings])
         return inside
 
     def _points(self) -> NDArray[np.float64]:

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from clsplat.apps.orthophoto import LEAST_VIEWS, shown_by
 from clsplat.camera import Camera
@@ -63,7 +63,7 @@ def turned_up(gaussians: Gaussians, up: NDArray[np.float64], to: NDArray[np.floa
     """A model after the smallest rotation that turns its `up`, a unit vector, to another one."""
     if np.allclose(up, to, atol=1e-9):
         return gaussians.without_spheres()
-    turn, _ = Rotation.align_vectors([to], [up])
+    turn, _ = scipy.spatial.transform.Rotation.align_vectors([to], [up])
     return transformed(gaussians, rotation=turn.as_matrix())
 
 

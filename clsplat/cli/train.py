@@ -7,6 +7,7 @@ import logging
 import shlex
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -130,8 +131,9 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags
     if options is None:
         options, scene = resumed_options(run.read_options(), flags), run.scene_path(scene)
     assert scene is not None  # only a run that resumes is given none
-    with ThreadPoolExecutor(1) as pool:  # a driver begins while modules are imported
+    with ThreadPoolExecutor(2) as pool:  # what takes longest begins while modules are imported
         opened = pool.submit(choose_device, options.device, form=options.form)
+        pool.submit(import_module, "scipy.spatial")  # every start asks it for neighbours
         from clsplat.io.scenes.read import read_scene
         from clsplat.training import loop
         data = read_scene(scene, options.images)

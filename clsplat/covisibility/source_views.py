@@ -9,10 +9,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from clsplat.scene import Scene, View
 
 BEST_ANGLE = 10.0  # degrees between two views' rays at a point
@@ -36,8 +38,9 @@ def choose_source_views(scene: Scene, views: Sequence[View], count: int = 3
     Returns for each of `views`, such as one part of `scene.split`, int[<= count], indices into
     `views`, best first; it may be empty."""
     points, point, view = visibility(scene, views)
-    sees = csr_array((np.ones(len(view), np.int8), (view, point)), (len(views), len(points)))
-    seen_by = csr_array(sees.T)
+    sees = scipy.sparse.csr_array((np.ones(len(view), np.int8), (view, point)),
+                                  (len(views), len(points)))
+    seen_by = scipy.sparse.csr_array(sees.T)
     positions = np.array([v.camera.position for v in views]).reshape(-1, 3)
     return [_best(number, sees, seen_by, points, positions, count) for number in range(len(views))]
 

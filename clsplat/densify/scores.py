@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from typing import Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import sobel
 
 from clsplat.constants import SPLAT_CONIC, SPLAT_CUTOFF, SPLAT_DEPTH, SPLAT_EXTENT_Y
 from clsplat.device import Array, Device
@@ -87,7 +87,7 @@ def pixel_weights(image: NDArray[np.floating], photo: NDArray[np.uint8]) -> NDAr
     target = photo[:3] / 255
     error = np.abs(image - target).mean(axis=0)
     luma = np.tensordot(LUMA, target, 1)
-    edges = np.hypot(sobel(luma, axis=0), sobel(luma, axis=1))
+    edges = np.hypot(scipy.ndimage.sobel(luma, axis=0), scipy.ndimage.sobel(luma, axis=1))
     valid: NDArray[np.bool_] = np.all(photo[3:], axis=0)
     return MAP_WEIGHT * (_spread(error * valid) + _spread(edges * valid)) * valid
 

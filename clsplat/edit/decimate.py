@@ -10,10 +10,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
-from scipy.special import logit
 
 from clsplat.constants import SH_C0
 from clsplat.edit.transform import half_axes
@@ -75,7 +73,7 @@ def _cheapest_pairs(mixture: NDArray[Any], most: int
     """Disjoint pairs of neighbours, at least one and at most `most`, the cheapest first."""
     positions, masses = mixture["position"], mixture["mass"]
     neighbours = min(NEIGHBOURS, len(mixture) - 1)
-    found = cKDTree(positions).query(positions, k=neighbours + 1)[1]
+    found = scipy.spatial.cKDTree(positions).query(positions, k=neighbours + 1)[1]
     one, other = np.repeat(np.arange(len(mixture)), neighbours + 1), found.ravel()
     one, other = one[one != other], other[one != other]
     size = np.trace(mixture["covariance"], axis1=1, axis2=2) / 3 + TINY
@@ -127,7 +125,8 @@ def _model(gaussians: Gaussians, mixture: NDArray[Any]) -> Gaussians:
     axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]  # else some were mirrored
     rows["positions"][at] = new["position"]
     rows["sh_constant"][at], rows["sh_rest"][at] = new["sh"][:, 0], new["sh"][:, 1:]
-    rows["opacity_logits"][at] = logit(np.maximum(new["opacity"], TINY))
+    rows["opacity_logits"][at] = scipy.special.logit(np.maximum(new["opacity"], TINY))
     rows["log_scales"][at] = np.log(np.maximum(variances, np.finfo(np.float32).tiny)) / 2
-    rows["quaternions"][at] = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+    rows["quaternions"][at] = scipy.spatial.transform.Rotation.from_matrix(
+        axes).as_quat()[:, [3, 0, 1, 2]]
     return Gaussians(rows, gaussians.sh_degree, gaussians.offset)

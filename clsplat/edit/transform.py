@@ -1,8 +1,8 @@
 """Similarity transforms of gaussians: scale, rotate with their spherical harmonics, and move."""
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -36,7 +36,7 @@ def transformed(gaussians: Gaussians, scale: float = 1.0, rotation: ArrayLike | 
         rows = dict(moved.rows)
         if rotation is not None:
             rows["positions"] = (moved.positions.astype(np.float64) @ matrix.T).astype(np.float32)
-            x, y, z, w = Rotation.from_matrix(matrix).as_quat()
+            x, y, z, w = scipy.spatial.transform.Rotation.from_matrix(matrix).as_quat()
             left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
             rows["quaternions"] = (moved.quaternions.astype(np.float64) @ left.T).astype(np.float32)
             rows["sh_rest"] = rotated(moved.sh_rest, matrix)
@@ -55,7 +55,7 @@ def transformed(gaussians: Gaussians, scale: float = 1.0, rotation: ArrayLike | 
 def half_axes(gaussians: Gaussians) -> NDArray[np.float64]:
     """float64[N, 3, 3]: the principal axes of the gaussians in columns, as long as their standard
     deviations, so that a covariance is the product with the transposed."""
-    axes: NDArray[np.float64] = Rotation.from_quat(
+    axes: NDArray[np.float64] = scipy.spatial.transform.Rotation.from_quat(
         unit(gaussians.quaternions)[:, [1, 2, 3, 0]]).as_matrix()
     return axes * np.exp(gaussians.log_scales.astype(np.float64))[:, None]
 

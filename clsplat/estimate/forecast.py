@@ -14,8 +14,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from clsplat.device import Device
 from clsplat.estimate.trial_steps import SizedPhotos, TrialSteps, sampled, sized, spread_out
@@ -203,7 +203,8 @@ def fitted(image: NDArray[np.float64], count: NDArray[np.float64], cost: NDArray
     Images of a single size determine only a + b * pixels.
     """
     columns = np.stack([np.ones_like(image), image / image.max(), count / count.max()], axis=1)
-    solution: NDArray[np.float64] = nnls(columns / cost[:, None], np.ones_like(cost))[0]
+    solution: NDArray[np.float64] = scipy.optimize.nnls(
+        columns / cost[:, None], np.ones_like(cost))[0]
     solution /= np.array([1, image.max(), count.max()])
     return solution
 

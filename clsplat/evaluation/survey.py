@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, distance_transform_edt
 
 from clsplat.georeference import AxisError, Georeference, Residual, axis_errors
 from clsplat.io.records import object_of
@@ -132,10 +132,11 @@ def _overlap(scene: Scene, ground: NDArray[np.float64], axes: NDArray[np.float64
     flat = cells[inside, 1] * columns + cells[inside, 0]
     found = np.bincount(flat, minlength=rows * columns).reshape(rows, columns)
     sums = np.bincount(flat, ground[inside, 2], rows * columns).reshape(rows, columns)
-    nearest = distance_transform_edt(found == 0, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(found == 0, return_distances=False,
+                                                   return_indices=True)
     heights = (sums / np.maximum(found, 1))[tuple(nearest)]
     # the border of the closing is empty: pad, so that ground at the edge stays covered
-    closed = binary_closing(np.pad(found > 0, CLOSED), iterations=CLOSED)
+    closed = scipy.ndimage.binary_closing(np.pad(found > 0, CLOSED), iterations=CLOSED)
     row, column = np.nonzero(closed[CLOSED:-CLOSED, CLOSED:-CLOSED])
     middles = np.column_stack([low[0] + size * (column + 0.5), low[1] + size * (row + 0.5),
                                heights[row, column]])

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from clsplat.camera import turned
 from clsplat.covisibility.source_views import visibility
@@ -102,7 +102,7 @@ def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, mo
     positions = dense.positions.astype(np.float64)
     added = np.flatnonzero(region.reaches(world_of(scene, positions)))
     if start.gaussians.count:
-        distance, _ = cKDTree(start.gaussians.positions, balanced_tree=False).query(
+        distance, _ = scipy.spatial.cKDTree(start.gaussians.positions, balanced_tree=False).query(
             positions[added], workers=-1)
         added = added[distance > np.exp(dense.log_scales[added, 0])]
     if most:
@@ -122,7 +122,8 @@ class Clusters:
     def __init__(self, positions: NDArray[np.floating], reach: NDArray[np.floating]) -> None:
         count = len(positions)
         finite = np.isfinite(positions).all(axis=1, keepdims=True)
-        self.order = cKDTree(np.where(finite, positions, 0), CLUSTER, compact_nodes=False).indices
+        self.order = scipy.spatial.cKDTree(np.where(finite, positions, 0), CLUSTER,
+                                           compact_nodes=False).indices
         self._cluster, starts = np.arange(count) // CLUSTER, np.arange(0, count, CLUSTER)
         packed = np.where(finite, positions, np.nan)[self.order]
         low, high = (end.reduceat(packed, starts) if count else packed

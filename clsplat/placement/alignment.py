@@ -15,8 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from clsplat.placement.up import UP, Vertical
 
@@ -139,7 +139,7 @@ class _Problem:
     def level_start(self, rng: np.random.Generator) -> Similarity | None:
         """One that fits most of the positions along the ground, with the given direction upwards.
         """
-        rotation = Rotation.align_vectors(UP, self.up)[0].as_matrix()
+        rotation = scipy.spatial.transform.Rotation.align_vectors(UP, self.up)[0].as_matrix()
         turned = self.places @ rotation.T
         place, position = (values[:, 0] + 1j * values[:, 1]
                            for values in (turned, self.positions))
@@ -153,7 +153,7 @@ class _Problem:
         if not (errors < np.inf).any():
             return None
         factor, shift = (values[errors.argmin()] for values in (factors, shifts))
-        turn = Rotation.from_euler("z", np.angle(factor)).as_matrix()
+        turn = scipy.spatial.transform.Rotation.from_euler("z", np.angle(factor)).as_matrix()
         scale = abs(factor)
         heights = (self.positions[:, 2] - scale * turned[:, 2])[self.has_height]
         return Similarity(scale, turn @ rotation, np.array(
@@ -192,7 +192,7 @@ class _Problem:
             step *= min(1.0, LARGEST_STEP / max(float(np.abs(step[:4]).max()), LARGEST_STEP))
             scale, turn, shift = np.exp(step[0]), step[1:4], step[4:]
             middle = similarity(self.places).mean(axis=0)
-            rotation = Rotation.from_rotvec(turn).as_matrix()
+            rotation = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
             similarity = Similarity(
                 similarity.scale * scale, rotation @ similarity.rotation,
                 scale * rotation @ (similarity.translation - middle) + middle + shift)
@@ -269,7 +269,7 @@ def fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similari
     product = positions.T @ places
     if np.linalg.matrix_rank(product, 1e-9 * np.linalg.norm(product)) < 2:
         return None
-    rotation = Rotation.align_vectors(positions, places)[0].as_matrix()
+    rotation = scipy.spatial.transform.Rotation.align_vectors(positions, places)[0].as_matrix()
     scale = float((positions * (places @ rotation.T)).sum() / (places**2).sum())
     return Similarity(scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0))
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from clsplat.camera import Camera
 
@@ -39,7 +39,8 @@ class Correction:
 
 def correction_between(given: Camera, wanted: Camera) -> Correction:
     """The correction that makes the pose of one camera that of another, in the same world."""
-    turn = Rotation.from_matrix(wanted.rotation @ given.rotation.T).as_rotvec()
+    turn = scipy.spatial.transform.Rotation.from_matrix(
+        wanted.rotation @ given.rotation.T).as_rotvec()
     return Correction(turn, given.rotation @ (wanted.position - given.position))
 
 
@@ -76,7 +77,7 @@ def without_common_motion(given: Sequence[Camera], corrections: Sequence[Correct
                  np.hstack([np.cross(arm, np.eye(3)), np.eye(3)])]
         values += [back @ correction.turn * depth, back @ correction.shift]
     a, b = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0].reshape(2, 3)
-    turned = Rotation.from_rotvec(a).as_matrix()
+    turned = scipy.spatial.transform.Rotation.from_rotvec(a).as_matrix()
     result = []
     for camera, correction in zip(given, corrections):
         moved = correction.applied(camera)

@@ -1,14 +1,20 @@
 """Schedules by name: our own, and those that other packages register as entry points."""
 
+from __future__ import annotations
+
 from functools import cache
-from importlib.metadata import EntryPoint
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 from clsplat.config.plug_in import Group
 from clsplat.errors import InputError
 from clsplat.schedule.plan import Schedule
 
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
 GROUP = "clsplat.schedules"  # of entry points: NAME = MODULE:SUBCLASS_OF_SCHEDULE
-OURS = {name: EntryPoint(name, f"clsplat.schedule.{name}:{name.title()}", GROUP)
+OURS = {name: f"clsplat.schedule.{name}:{name.title()}"
         for name in ("sig", "constant", "dash", "taming", "mcmc")}
 REGISTERED = Group(GROUP, OURS)
 
@@ -22,12 +28,14 @@ def offered(schedule: type[Schedule]) -> str:
     """The name, its own in small letters, by which this process finds a class that nobody
     registers."""
     name, place = schedule.__name__.lower(), f"{schedule.__module__}:{schedule.__qualname__}"
-    known = OURS.get(name) or others().get(name)
-    if known is None or name not in OURS and known.dist is None:
+    known = others().get(name)
+    taken = OURS.get(name) or (known.value if known and known.dist else None)
+    if taken is None:
+        from importlib.metadata import EntryPoint
         others()[name] = EntryPoint(name, place, GROUP)
         schedule_of.cache_clear()
-    elif known.value != place:
-        raise InputError(f"{name}: is the name of another schedule, {known.value}; give the class "
+    elif taken != place:
+        raise InputError(f"{name}: is the name of another schedule, {taken}; give the class "
                          "another name")
     return name
 
@@ -39,6 +47,7 @@ def schedule_of(name: str) -> type[Schedule]:
     InputError if no package registers it, or it does not load.
     """
     if name in OURS:
-        ours: type[Schedule] = OURS[name].load()
+        module, _, own = OURS[name].partition(":")
+        ours: type[Schedule] = getattr(import_module(module), own)
         return ours
     return REGISTERED.load(name, Schedule)

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from clsplat.sfm.features import image_id
 from clsplat.sfm.photos import SourcePhoto
@@ -78,7 +78,7 @@ def _neighbours(photos: Sequence[SourcePhoto]) -> tuple[list[tuple[int, int]], f
     places = np.column_stack([east * np.cos(np.radians(latitude)), degrees[:, 1] - latitude]
                              ) * METRES_PER_DEGREE
     count = min(NEIGHBOURS + 1, len(known))
-    distances, nearest = KDTree(places).query(places, [*range(1, count + 1)])
+    distances, nearest = scipy.spatial.KDTree(places).query(places, [*range(1, count + 1)])
     return [(known[row], known[other]) for row, others in enumerate(nearest) for other in others
             if other != row], float(np.median(distances[:, -1]))
 

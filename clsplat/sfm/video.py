@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import laplace, zoom
+import scipy
 
 from clsplat.errors import InputError, reason
 from clsplat.io.folders import make_folder
@@ -76,4 +76,5 @@ def _sharpness(frame: Any) -> float:
     """The variance of the Laplacian of a grey frame at a small size."""
     grey = frame.to_ndarray(format="gray")
     factor = min(1.0, SHARPNESS_SIZE / max(grey.shape))
-    return float(laplace(zoom(grey.astype(np.float32), factor, order=1)).var())
+    return float(scipy.ndimage.laplace(
+        scipy.ndimage.zoom(grey.astype(np.float32), factor, order=1)).var())

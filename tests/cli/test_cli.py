@@ -292,3 +292,15 @@ def test_help_loads_nothing_heavy():
             "print('heavy:', sorted(heavy & set(sys.modules)))")
     result = python("-c", code)
     assert result.stdout.rstrip().endswith("heavy: []"), result.stdout + result.stderr
+
+
+def test_a_training_imports_nothing_that_its_steps_do_not_need(tmp_path):
+    """At its first step: no other reader of scenes, and of scipy what finds neighbours."""
+    code = ("import sys\nfrom clsplat.cli.main import main\nfrom clsplat.training import loop\n"
+            "loop.Training.run_to_end = lambda _: print('imported', *sys.modules)\n"
+            "main(sys.argv[1:])")
+    result = python("-c", code, "train", CITY, "-n", "1", "-q", "-o", tmp_path / "run")
+    imported = set(result.stdout.split())
+    assert {"scipy.spatial", "clsplat.io.scenes.colmap"} <= imported, result.stderr
+    assert not imported & {"scipy.ndimage", "skimage", "pycolmap", "matplotlib",
+                           "clsplat.io.scenes.transforms", "clsplat.io.scenes.projects"}

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pycolmap
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from clsplat.georeference import CHECK, CONTROL, LEFT_OUT, Georeference, Residual
 from clsplat.io.georeference.adjustment import Located, adjust, locate, residuals
@@ -128,7 +128,7 @@ def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, Photo
     """
     target = np.array([0.0, -1.0, 0.0])
     up = _vertical(*_content(reconstruction), metadata, None).up
-    rotation = Rotation.align_vectors(target, up)[0].as_matrix()
+    rotation = scipy.spatial.transform.Rotation.align_vectors(target, up)[0].as_matrix()
     reconstruction.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
     notes = (f"not georeferenced: {why}",)
     return Placed(None, target, notes, () if isinstance(why, TooFewPositions) else notes)
@@ -305,5 +305,6 @@ def _upright(image: Any, known: PhotoMetadata | None) -> NDArray[np.float64]:
     # `clsplat sfm` turns pixels and camera itself, so the original's metadata no longer hold
     is_turned = (image.camera.width > image.camera.height) != (known.width > known.height)
     degrees = 0 if is_turned else 90 * known.quarter_turns
-    turn: NDArray[np.float64] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    turn: NDArray[np.float64] = scipy.spatial.transform.Rotation.from_euler(
+        "z", degrees, degrees=True).as_matrix()
     return turn @ rotation

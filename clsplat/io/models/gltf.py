@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
-from scipy.special import expit
 
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.atomic import replacing
@@ -56,7 +55,8 @@ ATTRIBUTES: tuple[tuple[str, str, int, Callable[..., Any], Callable[..., Any]], 
      lambda xyzw: np.roll(xyzw, 1, axis=1)),
     (f"{EXTENSION}:SCALE", "log_scales", 3,
      lambda logs: np.exp(np.clip(logs, -LARGEST_LOG_SCALE, LARGEST_LOG_SCALE)), log_scales_of),
-    (f"{EXTENSION}:OPACITY", "opacity_logits", 1, expit, lambda column: logits(column[:, 0])),
+    (f"{EXTENSION}:OPACITY", "opacity_logits", 1,
+     lambda values: scipy.special.expit(values), lambda column: logits(column[:, 0])),
     (f"{EXTENSION}:SH_DEGREE_0_COEF_0", "sh_constant", 3, np.asarray, np.asarray))
 HARMONICS = [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}" for degree in (1, 2, 3)
              for number in range(2 * degree + 1)]
@@ -83,7 +83,8 @@ def write_glb(path: Path, gaussians: Gaussians, notes: Notes) -> None:
         [colours_of(rows["sh_constant"]), attributes[f"{EXTENSION}:OPACITY"]]))
     root: dict[str, Any] = {"name": UPRIGHT, "children": [1]}
     if notes.up is not None:
-        turn, _ = Rotation.align_vectors([(0.0, 1.0, 0.0)], [notes.up * TURN])
+        turn, _ = scipy.spatial.transform.Rotation.align_vectors(
+            [(0.0, 1.0, 0.0)], [notes.up * TURN])
         root["rotation"] = turn.as_quat().tolist()
     place: dict[str, Any] = {"name": "gaussians", "translation": (origin * TURN).tolist()}
     document: dict[str, Any] = {"extensionsUsed": [EXTENSION], "nodes": [root, place]}

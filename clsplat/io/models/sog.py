@@ -14,9 +14,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.cluster.vq import kmeans2, vq
-from scipy.special import expit
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -72,7 +71,7 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     largest, others = smallest_three(rows["quaternions"])
     scales, scale_labels = _codebook(rows["log_scales"])
     colours, colour_labels = _codebook(rows["sh_constant"])
-    opacity = OPACITY_STEPS.bytes(expit(rows["opacity_logits"]))
+    opacity = OPACITY_STEPS.bytes(scipy.special.expit(rows["opacity_logits"]))
     # the record and the textures of each
     parts: dict[str, tuple[dict[str, Any], list[NDArray[np.uint8]]]] = {
         MEANS: ({"mins": low.tolist(), "maxs": high.tolist()},
@@ -226,8 +225,8 @@ def _palette(rows: NDArray[np.floating], most: int) -> tuple[NDArray[np.float32]
     first = sample[np.linspace(0, len(sample) - 1, min(most, len(sample))).astype(int)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a cluster may have become empty
-        centres, _ = kmeans2(sample, first, PALETTE_ROUNDS, minit="matrix")
-    return centres, vq(values, centres)[0]
+        centres, _ = scipy.cluster.vq.kmeans2(sample, first, PALETTE_ROUNDS, minit="matrix")
+    return centres, scipy.cluster.vq.vq(values, centres)[0]
 
 
 def encode_webp(pixels: NDArray[np.uint8]) -> bytes:

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -94,7 +94,8 @@ def packed_spz(path: Path, gaussians: Gaussians, notes: Notes) -> tuple[bytes, i
         degree -= 1
         sh = sh[:, :(degree + 1) ** 2 - 1]
     parts = (fixed.view(np.uint8).reshape(-1, 4)[:, :3],
-             OPACITY_STEPS.bytes(expit(rows["opacity_logits"])), COLOURS.bytes(rows["sh_constant"]),
+             OPACITY_STEPS.bytes(scipy.special.expit(rows["opacity_logits"])),
+             COLOURS.bytes(rows["sh_constant"]),
              LOG_SCALES.bytes(rows["log_scales"]), _packed_rotations(rows["quaternions"]), sh)
     content = HEADER.pack(MAGIC, VERSION, gaussians.count, degree, bits,
                           ANTIALIASED * notes.antialiased, 0)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import expit, logit
 
 from clsplat.constants import SH_C0
 from clsplat.errors import InputError
@@ -155,12 +155,12 @@ def usable(path: str | Path, rows: dict[str, NDArray[Any]], most_left_out: float
 
 def opacities(gaussians: Gaussians) -> NDArray[np.float64]:
     """float64[N], 0 to 1."""
-    return np.asarray(expit(gaussians.opacity_logits.astype(np.float64)))
+    return np.asarray(scipy.special.expit(gaussians.opacity_logits.astype(np.float64)))
 
 
 def logits(opacity: NDArray[np.float64]) -> NDArray[np.float64]:
     """The logits float64[N] of opacities, of which 0 and 1 are moved so far that theirs exist."""
-    return np.asarray(logit(np.clip(opacity, LEAST_OPACITY, GREATEST_OPACITY)))
+    return np.asarray(scipy.special.logit(np.clip(opacity, LEAST_OPACITY, GREATEST_OPACITY)))
 
 
 def byte_logits(values: NDArray[np.uint8]) -> NDArray[np.float64]:

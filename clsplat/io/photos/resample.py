@@ -5,17 +5,23 @@ The kernel is the cubic convolution of Keys (1981) with a = -1/2, also called Ca
 kernel blurs: docs/evidence/photos.md has figures.
 """
 
+from __future__ import annotations
+
 import functools
 import itertools
 from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 BAND_BYTES = 1 << 22  # of the rows that are in memory at once, as 8-bit samples
 Part = tuple[slice, slice]  # rows and columns of an image
-Patch = tuple[Part, NDArray[np.bool_], Part, csr_matrix]
+Patch = tuple[Part, NDArray[np.bool_], Part, "csr_matrix"]
 PATCH_SIDE = 192  # pixels: what is computed for a patch stays in the cache
 TAPS = np.arange(-1, 3, dtype=np.int32)  # from the pixel at the left of a place, or above it
 
@@ -95,8 +101,8 @@ def _coverage(old: int, new: int) -> csr_matrix:
     # in units of 1 / (old * new) every border is an integer, so rounding moves none
     borders = np.union1d(np.arange(old + 1) * new, np.arange(new + 1) * old)
     begins, lengths = borders[:-1], np.diff(borders)
-    return csr_matrix(((lengths / old).astype(np.float32), (begins // old, begins // new)),
-                      shape=(new, old))
+    return scipy.sparse.csr_matrix(
+        ((lengths / old).astype(np.float32), (begins // old, begins // new)), shape=(new, old))
 
 
 def patches(places: NDArray[np.float32], size: tuple[int, int], round_trip: bool = False
@@ -127,7 +133,8 @@ def patches(places: NDArray[np.float32], size: tuple[int, int], round_trip: bool
         indices = ((rows - low[1]) * (high[0] - low[0]))[:, :, None] + (columns - low[0])[:, None]
         weights = _kernel(y - row)[:, :, None] * _kernel(x - column)[:, None]
         begins = np.arange(0, indices.size + 1, len(TAPS) ** 2)
-        yield (part, shown, (slice(low[1], high[1]), slice(low[0], high[0])), csr_matrix(
+        rectangle = slice(low[1], high[1]), slice(low[0], high[0])
+        yield (part, shown, rectangle, scipy.sparse.csr_matrix(
             (weights.ravel(), indices.ravel(), begins),
             shape=(len(x), (high[1] - low[1]) * (high[0] - low[0]))))
 

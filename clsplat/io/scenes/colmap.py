@@ -29,8 +29,11 @@ LONGEST_SIDE = 2**31  # pixels; what is larger is damaged, and overflows
 
 
 def find_colmap(path: Path) -> Path | None:
-    """The path if it is a folder that is meant to have a sparse model."""
-    return path if _is_model(path) or (path / "sparse").exists() else None
+    """The path if it is a folder that is meant to have a sparse model; a transforms.json is
+    preferred to files without cameras."""
+    if _is_model(path, PARTS[:1]) or (path / "sparse").exists():
+        return path
+    return path if _is_model(path) and not any(path.glob("transforms*.json")) else None
 
 
 def read_colmap(folder: Path, images: str = "") -> Scene:
@@ -146,8 +149,8 @@ def _find_model(folder: Path) -> Path:
                      "scene with `clsplat sfm` (docs/guide/photos.md), or give another folder")
 
 
-def _is_model(folder: Path) -> bool:
-    return any((folder / f"{part}.{kind}").exists() for part in PARTS for kind in ("bin", "txt"))
+def _is_model(folder: Path, parts: Collection[str] = PARTS) -> bool:
+    return any((folder / f"{part}.{kind}").exists() for part in parts for kind in ("bin", "txt"))
 
 
 def _numbered_models(folder: Path) -> list[Path]:

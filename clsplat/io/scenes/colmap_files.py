@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from clsplat.errors import reason
 from clsplat.io.atomic import replacing
@@ -258,7 +258,7 @@ def write_colmap(folder: Path, views: Sequence[View], points: NDArray[np.float64
 def _image(number: int, view: View, camera: int, pixels: NDArray[np.float64],
            points: NDArray[np.integer]) -> bytes:
     """The record of a view with its observations."""
-    x, y, z, w = Rotation.from_matrix(view.camera.rotation).as_quat()
+    x, y, z, w = scipy.spatial.transform.Rotation.from_matrix(view.camera.rotation).as_quat()
     seen = np.empty(len(points), _OBSERVATION)
     seen["pixel"], seen["point"] = pixels, points + 1
     return (_IMAGE.pack(number, w, x, y, z, *view.camera.translation, camera)

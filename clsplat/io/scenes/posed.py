@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from clsplat.errors import InputError
 from clsplat.georeference import Georeference
@@ -208,7 +208,7 @@ def sample_points(path: Path, views: Sequence[View]) -> NDArray[np.float64]:
     cameras = [view.camera for view in views]
     positions = np.array([camera.position for camera in cameras])
     most = min(POINTS_A_VIEW, max(1, MOST_POINTS // len(cameras)))
-    away, nearest = cKDTree(positions).query(
+    away, nearest = scipy.spatial.cKDTree(positions).query(
         positions, [*range(1, min(NEIGHBOURS + 1, len(cameras)) + 1)])
     kept, (low, high), count = [], np.log(DEPTHS), TRIES_A_POINT * most
     for camera, distances, others in zip(cameras, away, nearest):

@@ -4,7 +4,7 @@ import hashlib
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from importlib.metadata import entry_points
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +14,14 @@ from clsplat.errors import InputError, reason
 from clsplat.io.georeference.files import placed
 from clsplat.io.photos.masks import with_masks
 from clsplat.io.runs.city import cropped_to_windows
-from clsplat.io.scenes.colmap import find_citygs, find_colmap, read_citygs, read_colmap
-from clsplat.io.scenes.projects.metashape import find_metashape, read_metashape
-from clsplat.io.scenes.projects.opensfm import find_opensfm, read_opensfm
-from clsplat.io.scenes.transforms import find_transforms, read_transforms
 from clsplat.scene import Scene
 
 # what finds the file or folder to read, in a folder or as the path itself, and its reader
 Reader = tuple[Callable[[Path], Path | None], Callable[[Path, str], Scene]]
-READERS: tuple[Reader, ...] = (
-    (find_citygs, read_citygs), (find_transforms, read_transforms), (find_colmap, read_colmap),
-    (find_opensfm, read_opensfm), (find_metashape, read_metashape))
+# ours in the order in which they are asked: NAME -> MODULE, with find_NAME and read_NAME
+READERS = {"citygs": "colmap", "colmap": "colmap", "transforms": "transforms",
+           "opensfm": "projects.opensfm", "metashape": "projects.metashape"}
+NAME_PHOTOS = ("read_citygs", "read_transforms")  # these scenes say where theirs are
 # of entry points, by which other packages register readers: NAME = MODULE, with the functions
 # find(path) and read(path, images) as in READERS
 GROUP = "clsplat.scenes"
@@ -50,7 +47,7 @@ def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
         file = find(path)
         if file is None:
             continue
-        if images and read in (read_citygs, read_transforms):
+        if images and getattr(read, "__name__", "") in NAME_PHOTOS:
             raise InputError(f"--images {images}: {path} names its photos itself; leave the "
                              "option out (it is for folders with a COLMAP model)")
         folder = path if path.is_dir() else path.parent
@@ -68,12 +65,19 @@ def is_scene(folder: Path) -> bool:
 
 def _is_mega_nerf(path: Path) -> bool:
     """Whether a folder is one that its example has not converted."""
-    return (path / "train" / "metadata").is_dir() and find_transforms(path) is None
+    return (path / "train" / "metadata").is_dir() and _ours("transforms")[0](path) is None
+
+
+def _ours(name: str) -> Reader:
+    """A reader of READERS, whose module is imported here."""
+    module = import_module(f"clsplat.io.scenes.{READERS[name]}")
+    return getattr(module, f"find_{name}"), getattr(module, f"read_{name}")
 
 
 def _readers() -> Iterator[Reader]:
-    """Ours, then those of other packages, which are imported only if none of ours fits."""
-    yield from READERS
+    """Ours, then those of other packages; each is imported only if none before it fits."""
+    yield from map(_ours, READERS)
+    from importlib.metadata import entry_points
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         try:
             module = entry.load()

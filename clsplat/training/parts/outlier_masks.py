@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from clsplat.constants import SH_C0
 from clsplat.device import Array
@@ -149,9 +149,10 @@ def _outliers(residual: Floats, expected: Floats, served: NDArray[np.bool_], sca
     least = np.maximum(np.maximum(FACTOR * expected, FLOOR * scale), 1e-9)
     ratio = np.where(served, residual / least, 0)
     found = ratio > max(1.0, float(np.quantile(ratio, 1 - MAX_MASKED_SHARE)))
-    around = uniform_filter(found.astype(np.float64), 3, mode="nearest")
+    around = scipy.ndimage.uniform_filter(found.astype(np.float64), 3, mode="nearest")
     coherent: Cells = around > NEIGHBOURS - TINY
-    grown: Cells = uniform_filter(coherent.astype(np.float64), 3, mode="constant") > TINY
+    grown: Cells = scipy.ndimage.uniform_filter(
+        coherent.astype(np.float64), 3, mode="constant") > TINY
     return grown & served if grown.mean() <= MAX_MASKED_SHARE else coherent
 
 

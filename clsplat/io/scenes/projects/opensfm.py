@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from clsplat.io.fields import number, numbers, pixels, reading, table, tables
 from clsplat.io.photos.images import image_size
@@ -93,7 +93,7 @@ def _largest(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
 def _photo(shot: Any, cameras: Mapping[str, Any], name: str, source: Path) -> PosedPhoto:
     shot = table(shot, f"shot {name[:80]}")
     camera = table(cameras.get(str(shot.get("camera"))), f"the camera of shot {name[:80]}")
-    rotation = Rotation.from_rotvec(
+    rotation = scipy.spatial.transform.Rotation.from_rotvec(
         numbers(shot.get("rotation"), 3, f"the rotation of {name[:80]}")).as_matrix()
     translation = numbers(shot.get("translation"), 3, f"the translation of {name[:80]}")
     return PosedPhoto(name, source, _optics(camera, image_size(source)), rotation,

@@ -11,8 +11,8 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from clsplat.errors import MOST_CHARACTERS, InputError
 from clsplat.georeference import Georeference
@@ -153,7 +153,8 @@ def project_scene(path: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
 def topocentric(latitude: float, longitude: float, height: float) -> Similarity:
     """From east, north and up in metres at a place (degrees, metres) to geocentric coordinates."""
     (centre,) = conversion(GEODETIC, GEOCENTRIC)([(longitude, latitude, height)])
-    axes = Rotation.from_euler("ZX", (90 + longitude, 90 - latitude), degrees=True)
+    axes = scipy.spatial.transform.Rotation.from_euler(
+        "ZX", (90 + longitude, 90 - latitude), degrees=True)
     return Similarity(1.0, axes.as_matrix(), centre)
 
 
