@@ -188,9 +188,9 @@ __kernel void sweep(int width, int height, int reference, int source_count, int 
 // relative difference below `same_depth`. The pixel's point lies at the inverse depth w / q.z of
 // the source, where q is its warped place.
 //
-// inverse_depths: real[V, H, W, 2] as `images`, 0 where there is none. confirmed: uint[H, W].
+// images: those of inverse depths, 0 where there is none. confirmed: uint[H, W].
 __kernel void confirm(int width, int height, int reference, int source_count, real same_depth,
-                      __global const real2 *restrict inverse_depths,
+                      __global const real2 *restrict images,
                       __global const int *restrict sizes, __global const int *restrict sources,
                       __global const real *restrict warps, __global uint *restrict confirmed)
 {
@@ -198,7 +198,7 @@ __kernel void confirm(int width, int height, int reference, int source_count, re
     if (i >= plane)
         return;
     const real x = i % width + (real)0.5, y = i / width + (real)0.5;
-    const real w = inverse_depths[reference * plane + i].x;
+    const real w = images[reference * plane + i].x;
     uint found = 0;
     for (int s = 0; s < source_count; s++) {
         const real3 q = warped(x, y, w, warps + 12 * s);
@@ -206,7 +206,7 @@ __kernel void confirm(int width, int height, int reference, int source_count, re
         const real u = q.x / q.z, v = q.y / q.z;
         if (!(q.z > 0 && u >= 0 && v >= 0 && u < size.x && v < size.y)) // nor for a nan
             continue;
-        const real there = q.z * inverse_depths[sources[s] * plane + (int)v * width + (int)u].x;
+        const real there = q.z * images[sources[s] * plane + (int)v * width + (int)u].x;
         found += fabs(w - there) < same_depth * there;
     }
     confirmed[i] = found;

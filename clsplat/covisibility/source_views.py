@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,7 +43,9 @@ def choose_source_views(scene: Scene, views: Sequence[View], count: int = 3
                                   (len(views), len(points)))
     seen_by = scipy.sparse.csr_array(sees.T)
     positions = np.array([v.camera.position for v in views]).reshape(-1, 3)
-    return [_best(number, sees, seen_by, points, positions, count) for number in range(len(views))]
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(lambda number: _best(number, sees, seen_by, points, positions, count),
+                             range(len(views))))
 
 
 def visibility(scene: Scene, views: Sequence[View]

@@ -11,20 +11,20 @@ from __future__ import annotations
 
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.covisibility.source_views import choose_source_views, visibility
-from clsplat.device import Array, Device
+from clsplat.device import Array, Device, Reading
 from clsplat.io.ahead import called_ahead
-from clsplat.stereo.sweep import confirm, device_images, sweep
+from clsplat.stereo.sweep import Compared, confirm, device_images, sweep
 
 if TYPE_CHECKING:
-    from clsplat.camera import Camera
     from clsplat.scene import Scene, View
 
 SOURCES = 4  # photos with which each is compared
@@ -155,31 +155,50 @@ def _depth_maps(device: Device, sources: Sequence[Sequence[int]], views: Sequenc
     A view without sources or `between`, the depths of its first and last plane, has none."""
     maps = [(np.zeros(photo.shape[1:], np.float32), np.zeros(photo.shape[1:], np.bool_))
             for photo in photos]
-    for number, compared in _compared(device, sources, views,
-                                      lambda number: _grey(photos[number])):
+
+    def launch(number: int, compared: Compared) -> tuple[Array, ...]:
         planes = between[number]
-        if sources[number] and planes:
-            height, width = photos[number].shape[1:]
-            inverse, score = (values.download()[:height, :width] for values in sweep(
-                *compared, (1 / planes[1], 1 / planes[0]), PLANES))
+        return sweep(compared, (1 / planes[1], 1 / planes[0]), PLANES) if planes else ()
+
+    for number, found in _compared(device, sources, views, lambda number: _grey(photos[number]),
+                                   launch):
+        if found:
+            inverse, score = found
             maps[number] = np.maximum(inverse, 0), score > LEAST_SCORE
         progress(number + 1)
     return maps
 
 
 def _compared(device: Device, sources: Sequence[Sequence[int]], views: Sequence[View],
-              image_of: Callable[[int], NDArray[np.floating]]
-              ) -> Iterator[tuple[int, tuple[Array, Array, list[Camera], int, list[int]]]]:
-    """The index of each view, and the first arguments of `sweep` and `confirm` for it; the images
-    [h, w] of BATCH views and their sources are on the device at a time."""
+              image_of: Callable[[int], NDArray[np.floating]],
+              launch: Callable[[int, Compared], Sequence[Array]]
+              ) -> Iterator[tuple[int, list[NDArray[Any]]]]:
+    """The index of each view, and on the host what `launch` leaves for it [h, w], which is called
+    for views with sources; images [h, w] of BATCH views and their sources are on the device at a
+    time. The next view is launched before the host waits for one: the device always has work."""
+    ahead = deque[tuple[int, list[Reading]]]()
+
+    def next_one() -> tuple[int, list[NDArray[Any]]]:
+        number, readings = ahead.popleft()
+        camera = views[number].camera
+        return number, [reading.values()[:camera.height, :camera.width] for reading in readings]
+
     for first in range(0, len(sources), BATCH):
         some = range(first, min(first + BATCH, len(sources)))
         together = sorted({*some, *(source for number in some for source in sources[number])})
         images, sizes = device_images(device, [image_of(number) for number in together])
         cameras = [views[number].camera for number in together]
-        for number in some:
-            yield number, (images, sizes, cameras, together.index(number),
-                           [together.index(source) for source in sources[number]])
+        # of all views before the first launch, for which their upload would wait
+        compared = [Compared.of(images, sizes, cameras, together.index(number),
+                                [together.index(source) for source in sources[number]])
+                    for number in some]
+        for number, each in zip(some, compared):
+            arrays = launch(number, each) if sources[number] else ()
+            ahead.append((number, [Reading(array) for array in arrays]))
+            if len(ahead) > 1:
+                yield next_one()
+    while ahead:
+        yield next_one()
 
 
 def _grey(photo: NDArray[np.uint8]) -> Floats:
@@ -193,11 +212,13 @@ def _confirmed(device: Device, sources: Sequence[Sequence[int]], views: Sequence
                maps: Sequence[DepthMap]) -> Iterator[NDArray[np.float32]]:
     """For each view the inverse depths of the pixels that become points [h, w], or 0: they look
     alike in two sources, and enough sources confirm their depth."""
-    for number, compared in _compared(device, sources, views, lambda number: maps[number][0]):
+
+    def launch(number: int, compared: Compared) -> tuple[Array, ...]:
+        return (confirm(compared, SAME_DEPTH),) if maps[number][1].any() else ()
+
+    for number, found in _compared(device, sources, views, lambda number: maps[number][0], launch):
         inverse, alike = maps[number]
-        if alike.any():
-            height, width = inverse.shape
-            count = confirm(*compared, SAME_DEPTH).download()[:height, :width]
+        for count in found:
             alike = alike & (count >= AGREEING)
         yield np.where(alike, inverse, np.float32(0))
 

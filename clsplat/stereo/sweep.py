@@ -4,6 +4,7 @@ it (cl/sweep.cl)."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,54 +21,66 @@ SWEEP = Kernel(
 CONFIRM = Kernel(
     "sweep.cl", "confirm", items("width height", "SCAN_GROUP"), width="int", height="int",
     reference="int", source_count="int", same_depth="real",
-    inverse_depths=("real", "V", "H", "W", 2), sizes=("int", "V", 2), sources=("int", "S"),
+    images=("real", "V", "H", "W", 2), sizes=("int", "V", 2), sources=("int", "S"),
     warps=("real", "S", 12), confirmed=("uint", "H", "W"))
 
 
-def sweep(images: Array, sizes: Array, cameras: Sequence[Camera], reference: int,
-          sources: Sequence[int], inverse_depths: tuple[float, float], planes: int
+class Compared(NamedTuple):
+    """A photo and those with which it is compared, on the device.
+
+    Attributes
+    ----------
+    images, sizes : `device_images` of some photos, or of the inverse depths of their pixels.
+    reference : index of the photo.
+    sources : int[S], those of the others.
+    warps : real[S, 12], `plane_warp` of each.
+    """
+
+    images: Array
+    sizes: Array
+    reference: int
+    sources: Array
+    warps: Array
+
+    @classmethod
+    def of(cls, images: Array, sizes: Array, cameras: Sequence[Camera], reference: int,
+           sources: Sequence[int]) -> Compared:
+        """The photo `reference` with `sources`; `cameras` are those of all photos."""
+        warps = [plane_warp(cameras[reference], cameras[source]) for source in sources]
+        upload = images.device.upload
+        return cls(images, sizes, reference, upload(np.array(sources, np.int32)),
+                   upload(np.array(warps)))
+
+
+def sweep(compared: Compared, inverse_depths: tuple[float, float], planes: int
           ) -> tuple[Array, Array]:
     """The inverse depth of each pixel of a reference, real[H, W], 1 / world unit, and how alike its
     window looks in at least two sources, real[H, W], from -1 to 1; 0 where there is none.
 
-    `images` and `sizes` are the `device_images` of grey photos, 0 to 1, nan where a pixel does not
-    count; `inverse_depths` are those of the first and the last of at least
-    three `planes`.
+    Images are grey, 0 to 1, nan where a pixel does not count; `inverse_depths` are those of the
+    first and the last of at least three `planes`.
     """
-    device, (_, height, width, _) = images.device, images.shape
+    device, (_, height, width, _) = compared.images.device, compared.images.shape
     first, last = inverse_depths
     found = device.empty((height, width)), device.empty((height, width))
     device.launch(
-        SWEEP, width=width, height=height, reference=reference, source_count=len(sources),
-        planes=planes, first=first, spacing=(last - first) / (planes - 1), images=images,
-        sizes=sizes, **_compared(device, cameras, reference, sources),
+        SWEEP, width=width, height=height, source_count=len(compared.sources), planes=planes,
+        first=first, spacing=(last - first) / (planes - 1), **compared._asdict(),
         inverse_depths=found[0], scores=found[1])
     return found
 
 
-def confirm(inverse_depths: Array, sizes: Array, cameras: Sequence[Camera], reference: int,
-            sources: Sequence[int], same_depth: float) -> Array:
+def confirm(compared: Compared, same_depth: float) -> Array:
     """How many sources have the depth of a pixel of the reference where it projects to, uint[H, W].
 
-    `inverse_depths` and `sizes` are the `device_images` of those of each photo's pixels, 1 / world
-    unit, 0 where there is none; depths are the same whose relative difference is below
-    `same_depth`.
+    Images are the inverse depths of pixels, 1 / world unit, 0 where there is none; depths are the
+    same whose relative difference is below `same_depth`.
     """
-    device, (_, height, width, _) = inverse_depths.device, inverse_depths.shape
+    device, (_, height, width, _) = compared.images.device, compared.images.shape
     confirmed = device.empty((height, width), np.uint32)
-    device.launch(
-        CONFIRM, width=width, height=height, reference=reference, source_count=len(sources),
-        same_depth=same_depth, inverse_depths=inverse_depths, sizes=sizes,
-        **_compared(device, cameras, reference, sources), confirmed=confirmed)
+    device.launch(CONFIRM, width=width, height=height, source_count=len(compared.sources),
+                  same_depth=same_depth, **compared._asdict(), confirmed=confirmed)
     return confirmed
-
-
-def _compared(device: Device, cameras: Sequence[Camera], reference: int, sources: Sequence[int]
-              ) -> dict[str, Array]:
-    """The arrays of the photos with which the reference is compared."""
-    warps = [plane_warp(cameras[reference], cameras[source]) for source in sources]
-    return {"sources": device.upload(np.array(sources, np.int32)),
-            "warps": device.upload(np.array(warps))}
 
 
 def plane_warp(reference: Camera, source: Camera, first_centre: float = 0.5

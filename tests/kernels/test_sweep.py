@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.stereo.sweep import confirm, device_images, plane_warp, sweep
+from clsplat.stereo.sweep import Compared, confirm, device_images, plane_warp, sweep
 from tests.cases import POISON
 from tests.reference.sweep import NO_MATCH
 from tests.reference.sweep import confirm as reference_confirm
@@ -52,8 +52,8 @@ def an_input(sizes):
 
 
 def run(device, photos, cameras, between=BETWEEN, planes=PLANES):
-    images, sizes = device_images(device, photos)
-    found = sweep(images, sizes, cameras, 0, range(1, len(photos)), between, planes)
+    compared = Compared.of(*device_images(device, photos), cameras, 0, range(1, len(photos)))
+    found = sweep(compared, between, planes)
     return [array.download() for array in found]
 
 
@@ -169,8 +169,8 @@ SAME = 0.02
 
 
 def confirmed(device, depths, cameras, sources, reference=0):
-    arrays = device_images(device, depths)
-    return confirm(*arrays, cameras, reference, sources, SAME).download()
+    compared = Compared.of(*device_images(device, depths), cameras, reference, sources)
+    return confirm(compared, SAME).download()
 
 
 @pytest.mark.oclgrind

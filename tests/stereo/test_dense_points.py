@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import clsplat.stereo.dense_points as stereo_module
+from clsplat.device import Reading
 from clsplat.scene import Scene, View
 from clsplat.stereo.dense_points import (
     SPARSE,
@@ -65,6 +66,23 @@ def test_photos_that_do_not_fit_the_device_together(item_device, scene, photos, 
     found = dense_points(item_device, scene, scene.views, photos, MANY, done.append)
     assert np.array_equal(found[0], together[0]) and np.array_equal(found[1], together[1])
     assert done == [1, 2, 3, 4, 5, 6]
+
+
+def test_the_device_has_work_while_the_host_waits(item_device, scene, photos, monkeypatch):
+    """The next sweep is launched before the host waits for one."""
+    events = []
+
+    def noted(name, call):
+        def function(*given):
+            events.append(name)
+            return call(*given)
+        return function
+
+    monkeypatch.setattr(stereo_module, "sweep", noted("launch", stereo_module.sweep))
+    monkeypatch.setattr(Reading, "values", noted("wait", Reading.values))
+    dense_points(item_device, scene, scene.views, photos, MANY)
+    waits = ["wait", "wait"]  # for depths and scores
+    assert events[:18] == ["launch", *5 * ["launch", *waits], *waits]
 
 
 def test_masked_pixels_give_no_points(item_device, scene, photos):

@@ -276,12 +276,14 @@ def sweep(city: CityFrame) -> Cases:
     photos = list(np.random.default_rng(0).uniform(0, 1, (1 + sources, height, width)))
     cameras = [Camera(width, height, (width, width), (width / 2, height / 2), np.eye(3),
                       np.array([-0.1 * number, 0, 0])) for number in range(len(photos))]
-    images, sizes = sweeping.device_images(city.device, photos)
-    others, depths = range(1, len(photos)), city.device.upload(np.full(images.shape, 0.5))
-    return {f"{sources} sources": partial(sweeping.sweep, images, sizes, cameras, 0, others,
-                                          (0.1, 1.0), dense_points.PLANES),
-            f"confirm, {sources} sources": partial(sweeping.confirm, depths, sizes, cameras, 0,
-                                                   others, dense_points.SAME_DEPTH)}
+    depths = [np.full((height, width), 0.5) for _ in photos]
+    by_photos, by_depths = (sweeping.Compared.of(
+        *sweeping.device_images(city.device, images), cameras, 0, range(1, len(photos)))
+        for images in (photos, depths))
+    return {f"{sources} sources": partial(sweeping.sweep, by_photos, (0.1, 1.0),
+                                          dense_points.PLANES),
+            f"confirm, {sources} sources": partial(sweeping.confirm, by_depths,
+                                                   dense_points.SAME_DEPTH)}
 
 
 FAMILIES: dict[str, Callable[[CityFrame], Cases]] = {
