@@ -1,5 +1,6 @@
 """The process of the command `clsplat`: `python -m clsplat`, and the console script."""
 
+import gc
 import os
 import signal
 import sys
@@ -13,6 +14,7 @@ def run() -> None:
     """
     # products here have few columns: threads of BLAS only wait for the next one, busily
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.set_threshold(20_000)  # imports leave no garbage, and a tenth of their time looked for it
     # what a build of kernels prints: `catch_warnings` there does not hold in several threads
     warnings.filterwarnings("ignore", "Non-empty compiler output")
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 import logging
 import shlex
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -26,6 +26,9 @@ from clsplat.cli.sfm import trained_scene
 from clsplat.config.option import differences, flag_name
 from clsplat.errors import InputError
 from clsplat.options import RunOptions, TrainOptions, recorded, resolve
+
+if TYPE_CHECKING:
+    from clsplat.device import Device
 
 LEAST_SHOWN = 0.05  # seconds
 LOG_LEVELS = ("debug", "info", "warning", "error")
@@ -76,6 +79,7 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path,
     if scene is None and not resume:
         raise click.MissingParameter(ctx=ctx, param=ctx.command.params[0])
     options = None if resume or schedules else resolve(values, flags)
+    opened = _opened(options) if options else None
     if scene is not None:
         scene = trained_scene(scene, output, quiet, None if options is None else overwrite)
     if schedules:
@@ -91,7 +95,7 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path,
         return
     if seeds != 1:
         raise InputError("--seeds: needs --schedules; for one run, use --seed")
-    spent = _train(scene, output, options, flags, overwrite, quiet, up, view)
+    spent = _train(scene, output, options, flags, overwrite, quiet, up, view, opened)
     if not quiet:
         click.echo("\n".join([*ending(output), time_line(spent)]))
 
@@ -118,12 +122,11 @@ def ending(output: Path) -> list[str]:
 
 def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags: dict[str, Any],
            overwrite: bool, quiet: bool, up: tuple[float, float, float] | None = None,
-           view: bool = False) -> dict[str, float]:
+           view: bool = False, opened: Future[Device] | None = None) -> dict[str, float]:
     """Train one run; without options, continue from its checkpoint with `flags`. Returns what the
-    seconds were spent for, see `SilentProgress.spent`."""
+    seconds were spent for, see `SilentProgress.spent`. `opened` is the device of the options."""
     from clsplat.cli.progress import Progress
     from clsplat.cli.view import announce
-    from clsplat.device import choose_device
     from clsplat.io.runs.run import RunFolder
     from clsplat.training.progress import SilentProgress
     resumes = options is None
@@ -131,18 +134,16 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags
     if options is None:
         options, scene = resumed_options(run.read_options(), flags), run.scene_path(scene)
     assert scene is not None  # only a run that resumes is given none
-    with ThreadPoolExecutor(2) as pool:  # what takes longest begins while modules are imported
-        opened = pool.submit(choose_device, options.device, form=options.form)
-        pool.submit(import_module, "scipy.spatial")  # every start asks it for neighbours
-        from clsplat.io.scenes.read import read_scene
-        from clsplat.training import loop
-        data = read_scene(scene, options.images)
-        if up is not None:
-            if data.georeference is not None:
-                raise InputError(f"--up: {scene} is georeferenced, so its z axis points up; leave "
-                                 "it out")
-            data = data.with_up(up)
-        device = opened.result()
+    opened = opened or _opened(options)
+    from clsplat.io.scenes.read import read_scene
+    from clsplat.training import loop
+    data = read_scene(scene, options.images)
+    if up is not None:
+        if data.georeference is not None:
+            raise InputError(f"--up: {scene} is georeferenced, so its z axis points up; leave it "
+                             "out")
+        data = data.with_up(up)
+    device = opened.result()
     with ExitStack() as stack:
         stack.enter_context(run.locked())
         progress = (SilentProgress(STARTED) if quiet else
@@ -158,6 +159,17 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags
             run = RunFolder.create(output, overwrite=overwrite)
             loop.train(data, options, device, run, progress=progress, watcher=watcher)
         return progress.spent()
+
+
+def _opened(options: RunOptions) -> Future[Device]:
+    """The device, which a thread opens while modules are imported and files are read; another
+    imports what every start asks for neighbours."""
+    from clsplat.device import choose_device
+    pool = ThreadPoolExecutor(2)
+    click.get_current_context().call_on_close(pool.shutdown)
+    opened = pool.submit(choose_device, options.device, form=options.form)
+    pool.submit(import_module, "scipy.spatial")
+    return opened
 
 
 def resumed_options(record: dict[str, Any], flags: dict[str, Any]) -> TrainOptions:

@@ -83,12 +83,16 @@ class Survey:
         return np.array([lengths.get(name, np.nan) for name in self.names])
 
 
+def record_of(scene: Scene) -> dict[str, Any]:
+    """The sfm.json of a scene; {} where there is none, or none that can be read."""
+    try:
+        return object_of(read_regular(scene.path / RECORD))
+    except (OSError, ValueError):
+        return {}
+
+
 def survey_of(scene: Scene) -> Survey:
     """A scene, with one or more cameras of the size of its photos, as a survey."""
-    try:
-        record = object_of(read_regular(scene.path / RECORD))
-    except (OSError, ValueError):  # none, or none that can be read
-        record = {}
     axes = np.vstack([map_axes(scene.up), scene.up])
 
     points = scene.points[::max(1, len(scene.points) // MOST_POINTS)]
@@ -100,7 +104,7 @@ def survey_of(scene: Scene) -> Survey:
     above = len(points) and np.median(cameras[:, 2]) > np.quantile(ground[:, 2], ABOVE)
     return Survey(
         tuple(view.name for view in scene.views), cameras[:, :2], ground[:, :2],
-        record, scene.georeference,
+        record_of(scene), scene.georeference,
         _overlap(scene, ground, axes) if above else None,
         scene.unit * float(np.median(pixels)) if pixels else None,
         scene.unit * float(np.median(distances)) if distances else None)

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.evaluation.survey import Survey, spreads, survey_of
+from clsplat.evaluation.survey import Survey, record_of, spreads, survey_of
 from clsplat.georeference import CHECK, CONTROL, LEFT_OUT
 from clsplat.io.photos.images import encode_image
 from clsplat.report.page import Table, folded, headed, warning
@@ -33,8 +33,8 @@ def survey_html(scene: Scene | None) -> str:
     """The section of a report for a scene at the size of its photos; "" if it is no survey. An
     error becomes a line of text."""
     try:
-        survey = scene and survey_of(scene)
-        return _section(survey) if survey and (survey.record or survey.georeference) else ""
+        is_survey = scene and (scene.georeference or record_of(scene))
+        return _section(survey_of(scene)) if scene and is_survey else ""
     except Exception as error:  # noqa: BLE001  (no survey is worth a page)
         return f"<p class=note>The survey could not be shown ({escape(str(error))}).</p>\n"
 
