@@ -113,6 +113,8 @@ class Schedule:
     Options : frozen dataclass of the schedule's own options (config/option.py), or None.
     keeps : names of the attributes, of types that JSON has, that a checkpoint keeps.
     begins_dense : whether a training begins at dense points unless the options say otherwise.
+    points_enter : whether dense points enter with the levels: a coarser one begins with what its
+        pixels can determine (training/parts/entering_points.py).
     fills_target : whether a round of growth reaches its target, however few gaussians exceed the
         threshold; for forecasts.
     observe_every : steps between calls of `observe`.
@@ -127,6 +129,7 @@ class Schedule:
     Options: ClassVar[type | None] = None
     keeps: ClassVar[tuple[str, ...]] = ()
     begins_dense: ClassVar[bool] = False
+    points_enter: ClassVar[bool] = False
     fills_target: ClassVar[bool] = False
     observe_every = 100
     latest: Any = None

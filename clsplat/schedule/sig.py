@@ -24,11 +24,13 @@ if TYPE_CHECKING:
     from clsplat.options import ScheduledOptions
 
 LEVELS = (5.0, 4.0, 3.0, 2.0, 1.0)
-FEW_LEVELS = (2.0, 1.0)  # of a block, and from dense points, where coarser ones teach no more
+DENSE_LEVELS = (8.0, 4.0, 2.0, 1.0)  # with which dense points enter: four times as many at each
+BLOCK_LEVELS = (2.0, 1.0)
 SMALLEST_SIDE = 64  # pixels: what smaller images teach, the next level learns at once
 TILE = 16  # pixels
 ROUND_STEPS = (100, 200)  # least and most between rounds of growth
 LEAST_STEPS = 2 * ROUND_STEPS[0]  # of a level: in fewer, what it begins has no time to settle
+LEAST_ENTERING = 50  # of a level that begins with points, and does not grow
 COLOUR_ERROR = 0.0072  # of full brightness: the standard error of a gaussian's colour
 LEAST_PIXELS_A_GAUSSIAN = 15.0  # where photos agree: it has 59 parameters, a pixel 3 values
 USUAL_DISAGREEMENT = 0.03  # where the sparse model does not tell which photos show a point
@@ -78,8 +80,8 @@ class SigOptions:
                          sets={"paper": PAPER, "release": RELEASE})
     levels: tuple[float, ...] = option(
         (), "Levels", "down-sampling factors of the levels, from coarse to fine, such as 4,2,1; "
-        "auto: 5,4,3,2,1, or from dense points 2,1, without those whose images are too small to "
-        "matter", words={AUTO: ()},
+        "auto: 5,4,3,2,1, or from dense points 8,4,2,1, without those whose images are too small "
+        "to matter", words={AUTO: ()},
         minimum=1.0, expects="factors that fall and end at 1, such as 4,2,1", check=check_levels,
         part="sig", measured=True)
     frequency: str = option("robust", "Levels", "which scene frequency is tested for convergence",
@@ -115,7 +117,7 @@ class Sig(Schedule):
     parts = frozenset({"sig", "levels", "spheres", "reprojection"})
     keeps = ("index", "began", "rounds_taken", "carried", "grown_at", "full", "samples", "hits",
              "latest")
-    begins_dense = True
+    begins_dense = points_enter = True
     Options = SigOptions
 
     @classmethod
@@ -135,9 +137,9 @@ class Sig(Schedule):
         sizes = sizes_text(levels, facts.size)
         if options.levels:
             return levels, f"{listed(levels)}: requested; {sizes}"
-        dense = "coarser ones add nothing to dense points; " if facts.dense else ""
+        dense = "dense points enter with them; " if facts.dense else ""
         return levels, (f"{listed(levels)}: {sizes}; {dense}sides below {SMALLEST_SIDE}, and "
-                        f"levels shorter than {LEAST_STEPS} steps, are left out")
+                        f"levels shorter than {least_steps(facts)} steps, are left out")
 
     @classmethod
     def planned_limit(cls, options: "ScheduledOptions", facts: SceneFacts
@@ -177,7 +179,7 @@ class Sig(Schedule):
         each = {"pixels_per_gaussian": pixels_per_gaussian(options, facts)}
         if options.levels:
             return each
-        levels = chosen_levels(options, size, FEW_LEVELS, TILE)
+        levels = chosen_levels(options, size, BLOCK_LEVELS, TILE)
         return {"levels": levels, **each}
 
     def __init__(self, options: "ScheduledOptions", facts: SceneFacts) -> None:
@@ -245,6 +247,8 @@ class Sig(Schedule):
 
     def _rounds_left(self, since: int) -> bool:
         """Whether this level, so many steps old, still has rounds of growth to come."""
+        if self.facts.dense and not self.last:  # the next level brings points
+            return False
         in_time = since <= GROWS_SHARE * self.allotment or not self.guarded
         return in_time and self.rounds_taken < self.options.rounds + self.carried
 
@@ -357,18 +361,24 @@ def most_gaussians(options: "ScheduledOptions", facts: SceneFacts, level: float)
 
 def levels_of(options: "ScheduledOptions", facts: SceneFacts) -> tuple[float, ...]:
     """The levels of a training of the whole scene."""
-    return chosen_levels(options, facts.size, FEW_LEVELS if facts.dense else LEVELS)
+    return chosen_levels(options, facts.size, DENSE_LEVELS if facts.dense else LEVELS,
+                         steps=least_steps(facts))
+
+
+def least_steps(facts: SceneFacts) -> int:
+    """The fewest steps of a level."""
+    return LEAST_ENTERING if facts.dense else LEAST_STEPS
 
 
 def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
-                  candidates: tuple[float, ...] = LEVELS, least: int = SMALLEST_SIDE
-                  ) -> tuple[float, ...]:
+                  candidates: tuple[float, ...] = LEVELS, least: int = SMALLEST_SIDE,
+                  steps: int = LEAST_STEPS) -> tuple[float, ...]:
     """The down-sampling factors of a training, for a smallest image of `size` (width, height),
     pixels.
 
     The default ones are `candidates` without sides below `least` pixels and the coarsest levels
-    for which there is no time. InputError if a requested factor makes an image smaller than a
-    tile.
+    for which there are not so many `steps`. InputError if a requested factor makes an image
+    smaller than a tile.
     """
     levels, side = options.levels, min(size)
     if levels:
@@ -381,6 +391,6 @@ def chosen_levels(options: "ScheduledOptions", size: tuple[int, int],
         return levels
     levels = tuple(level for level in candidates if level == 1 or side / level >= least)
     while (shares := level_shares(levels, options.level_share)) and (
-            shares[0] * options.iterations < LEAST_STEPS):
+            shares[0] * options.iterations < steps):
         levels = levels[1:]
     return levels

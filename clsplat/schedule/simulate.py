@@ -46,9 +46,10 @@ def _steps(schedule: Schedule, detail: Callable[[float], float] | None
     """(level, gaussians, whether it regularises) of each step."""
     flat = {f"{variant}_mean": 1.0 for variant in VARIANTS}
     count, pixels = schedule.facts.count, schedule.facts.pixels
+    enter = schedule.points_enter and schedule.facts.dense
     for iteration in range(1, schedule.options.iterations + 1):
         plan = schedule.plan(iteration)
-        yield plan.level, count, plan.regularises > 0
+        yield plan.level, int(count / plan.level**2) if enter else count, plan.regularises > 0
         if plan.grows:
             share = 1.0 if detail is None else min(1.0, (detail(plan.level) / SHARP) ** POWER)
             densified = PER_PIXEL * share * pixels / plan.level**2 * SETTLED**plan.decay

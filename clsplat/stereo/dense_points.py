@@ -96,9 +96,9 @@ def dense_points(device: Device, scene: Scene, views: Sequence[View],
                  photos: Sequence[NDArray[np.uint8]], most: int,
                  progress: Callable[[int], object] = lambda done: None,
                  sources: Sequence[Sequence[int]] | None = None
-                 ) -> tuple[Floats, NDArray[np.uint8]]:
-    """Points of a scene, float64[N, 3], world, with colours, uint8[N, 3]; the sparse points are
-    among them.
+                 ) -> tuple[Points, float]:
+    """Points of a scene, the sparse points among them, and the size of the cells whose points were
+    merged, pixels.
 
     `photos` are uint8[3, h, w] of the views, or uint8[4, h, w] with a mask, and the views' cameras
     have their size. As many points as `most` are wanted; they are fewer if photos show fewer or
@@ -121,8 +121,7 @@ def dense_points(device: Device, scene: Scene, views: Sequence[View],
     threads = os.cpu_count() or 1
     parts = called_ahead(points_of, _by(PHOTOS_TOGETHER, zip(views, photos, _confirmed(
         device, sources, views, maps))), threads, threads)
-    merged = merge(Points.joined([*parts, _sparse(scene, views, *seen)]), most)
-    return merged.positions, merged.colours.round().astype(np.uint8)
+    return merge(Points.joined([*parts, _sparse(scene, views, *seen)]), most)
 
 
 def _by(count: int, items: Iterable[Item]) -> Iterator[tuple[Item, ...]]:
@@ -250,12 +249,13 @@ def _sparse(scene: Scene, views: Sequence[View], points: Floats, point: NDArray[
                   np.full(len(scene.points), SPARSE))
 
 
-def merge(points: Points, most: int) -> Points:
-    """Merge the points of each cell to their mean. Cells are at least a pixel large, and at most
-    `most`, unless cells of LARGEST_CELL pixels are more."""
+def merge(points: Points, most: int) -> tuple[Points, float]:
+    """Merge the points of each cell to their mean; returns the size of a cell, pixels, as well.
+    Cells are at least a pixel large, and at most `most`, unless cells of LARGEST_CELL pixels are
+    more."""
     merged = _in_cells(points, 1.0)
     if not len(merged.sizes):
-        return merged
+        return merged, 1.0
     fitting: float | None = None
     low, size, high = 1.0, 1.0, LARGEST_CELL
     for _ in range(MOST_SIZES):
@@ -274,7 +274,14 @@ def merge(points: Points, most: int) -> Points:
         if not low < size < high:
             size = np.sqrt(low * high)
     found = _in_cells(merged, fitting or LARGEST_CELL)
-    return found.chosen(_are_surface(found.merged))
+    return found.chosen(_are_surface(found.merged)), fitting or LARGEST_CELL
+
+
+def coarser(points: Points, pixels: float) -> tuple[Points, NDArray[np.int64]]:
+    """Merge points of equal weight in cells of so many pixels; returns also int64[N], the new point
+    that each became a part of."""
+    alike = points._replace(merged=np.ones(len(points.sizes), int))
+    return _in_cells(alike, pixels), _cells(alike, pixels)[0]
 
 
 def _are_surface(merged: NDArray[np.number]) -> NDArray[np.bool_]:

@@ -282,6 +282,13 @@ class Step:
         self._graphs.clear()
         self.device.trim()  # frames will need blocks of other sizes
 
+    def replace_rows(self, growth: Growth) -> None:
+        """Replace the gaussians as a round of growth requires."""
+        self.release()  # or recordings would keep the memory of frames while rows are copied
+        self._model.regrow(growth)
+        self.rows_changed(growth)
+        self._statistics.clear(self._model.count)
+
     def rows_changed(self, growth: Growth | None = None) -> None:
         """Let the parts follow a change of the rows; see `Part.rows_changed`."""
         for part in self.parts:
@@ -301,10 +308,7 @@ class Step:
             statistics.mean_gradient, lambda gradient: taming_scores(
                 self.renderer, model.rows, scoring_views(), plan.degree, self.options.ssim_weight,
                 gradient)))
-        self.release()  # or recordings would keep the memory of frames while rows are copied
-        model.regrow(growth)
-        self.rows_changed(growth)
-        statistics.clear(model.count)
+        self.replace_rows(growth)
         self._choose_room(True)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
 

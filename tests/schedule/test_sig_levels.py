@@ -8,6 +8,7 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.options import resolve
 from clsplat.schedule.sig import (
+    DENSE_LEVELS,
     LEVELS,
     SMALLEST_SIDE,
     TILE,
@@ -35,9 +36,26 @@ def test_levels_for_which_there_is_no_time_are_left_out(steps, expected):
     """The coarsest of 5, 4, 3, 2, 1 has 12 of 137 parts of the steps; that of 2, 1 has a third."""
     options = options_of(levels=(), level_share="auto", iterations=steps)
     assert chosen_levels(options, (640, 480)) == expected
-    assert levels_of(options, dataclasses.replace(FACTS, dense=True)) == expected[-2:]
     asked = options_of(iterations=1)
     assert chosen_levels(asked, (640, 480)) == asked.levels
+
+
+@pytest.mark.parametrize("steps, side, expected", [
+    (30_000, 480, (4.0, 2.0, 1.0)), (30_000, 8 * SMALLEST_SIDE, DENSE_LEVELS),
+    (350, 480, (4.0, 2.0, 1.0)), (349, 480, (2.0, 1.0)), (149, 480, (1.0,))])
+def test_levels_with_which_dense_points_enter(steps, side, expected):
+    """The coarsest of 4, 2, 1 has a seventh of the steps, that of 2, 1 a third."""
+    options = options_of(levels=(), level_share="auto", iterations=steps)
+    dense = dataclasses.replace(FACTS, dense=True, size=(side, side))
+    assert levels_of(options, dense) == expected
+
+
+def test_coarser_levels_do_not_grow_where_points_enter():
+    dense = dataclasses.replace(FACTS, dense=True, count=1000)
+    for facts in (FACTS, dense):
+        schedule = Sig(options_of(levels=(2.0, 1.0), iterations=3000), facts)
+        grown = {plan.level for plan in map(schedule.plan, range(1, 1000)) if plan.grows}
+        assert grown == (set() if facts is dense else {2.0})
 
 
 @pytest.mark.parametrize("side, steps, expected", [

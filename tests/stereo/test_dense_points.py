@@ -47,23 +47,29 @@ def photos(scene):
     return [np.stack([photo / 2, photo, photo]).round().astype(np.uint8) for photo in grey]
 
 
+def coloured(*given):
+    """Positions and colours of `dense_points`."""
+    points, _ = dense_points(*given)
+    return points.positions, points.colours.round().astype(np.uint8)
+
+
 @pytest.mark.one_in(2)
 def test_points_lie_on_the_plane_and_have_its_colours(float_device, scene, photos):
-    positions, colours = dense_points(float_device, scene, scene.views, photos, MANY)
-    assert len(positions) > 3 * len(scene.points) and colours.dtype == np.uint8
+    positions, colours = coloured(float_device, scene, scene.views, photos, MANY)
+    assert len(positions) > 3 * len(scene.points)
     assert np.median(on_plane(positions)) < 0.002 and np.quantile(on_plane(positions), 0.95) < 0.02
     # the photos show what the colours say; sparse points are dark
     assert np.mean(np.abs(2.0 * colours[:, 0] - colours[:, 1]) <= 2) > 0.8
-    again = dense_points(float_device, scene, scene.views, photos, MANY)
+    again = coloured(float_device, scene, scene.views, photos, MANY)
     assert np.array_equal(positions, again[0]) and np.array_equal(colours, again[1])
 
 
 @pytest.mark.slow
 def test_photos_that_do_not_fit_the_device_together(item_device, scene, photos, monkeypatch):
-    together = dense_points(item_device, scene, scene.views, photos, MANY)
+    together = coloured(item_device, scene, scene.views, photos, MANY)
     done = []
     monkeypatch.setattr(stereo_module, "BATCH", 2)
-    found = dense_points(item_device, scene, scene.views, photos, MANY, done.append)
+    found = coloured(item_device, scene, scene.views, photos, MANY, done.append)
     assert np.array_equal(found[0], together[0]) and np.array_equal(found[1], together[1])
     assert done == [1, 2, 3, 4, 5, 6]
 
@@ -93,7 +99,7 @@ def test_masked_pixels_give_no_points(item_device, scene, photos):
         rays = np.stack([(x - 32) / 40, (y - 24) / 41, np.ones(x.shape)], -1) @ view.camera.rotation
         mask[0, view.camera.position[0] + along * rays[..., 0] > 0] = 0
     masked = [np.concatenate(pair) for pair in zip(photos, masks)]
-    found, _ = dense_points(item_device, scene, scene.views, masked, MANY)
+    found, _ = coloured(item_device, scene, scene.views, masked, MANY)
     assert (found[:, 0] > 0.1).sum() <= (scene.points[:, 0] > 0.1).sum()  # no more than these
     assert (found[:, 0] < 0).sum() > 2 * (scene.points[:, 0] < 0).sum()
 
@@ -102,7 +108,7 @@ def test_photos_that_share_nothing_leave_the_sparse_points(item_device, scene, p
     assert stereo_views(scene, scene.views)[0]
     alone = replace(scene, observations=scene.observations[scene.observations[:, 1] == 0])
     assert stereo_views(alone, alone.views) == 6 * [[]]
-    positions, colours = dense_points(item_device, alone, alone.views, photos, MANY)
+    positions, colours = coloured(item_device, alone, alone.views, photos, MANY)
     assert 0.9 * len(scene.points) < len(positions) <= len(scene.points)  # some share a cell
     assert np.allclose(on_plane(positions), 0, atol=1e-9) and (colours == 9).all()
 
@@ -116,7 +122,7 @@ def points_at(positions, merged=1, size=0.01):
 def test_points_of_a_cell_become_their_weighted_mean():
     near = points_at([[0.002, 0.002, 0.002], [0.006, 0.002, 0.002]])
     sparse = points_at([[0.0041, 0.0021, 0.0021]], SPARSE)
-    merged = merge(Points.joined([near, sparse]), 1)
+    merged, _ = merge(Points.joined([near, sparse]), 1)
     mean = (near.positions.sum(axis=0) + SPARSE * sparse.positions[0]) / (2 + SPARSE)
     assert np.allclose(merged.positions, mean) and merged.merged.tolist() == [2 + SPARSE]
     assert np.allclose(merged.colours, [10, 20, 30])
@@ -127,7 +133,7 @@ def test_what_lies_beside_the_surface_is_left_out_but_sparse_points_stay():
     surface = points_at(np.column_stack([rng.uniform(0, 1, (20_000, 2)), np.zeros(20_000)]))
     beside = points_at(np.column_stack([rng.uniform(0, 1, (50, 2)), rng.uniform(0.3, 1, 50)]))
     sparse = points_at([[0.5, 0.5, 2.0]], SPARSE)
-    merged = merge(Points.joined([surface, beside, sparse]), 1000)
+    merged, _ = merge(Points.joined([surface, beside, sparse]), 1000)
     assert 700 < len(merged.sizes) <= 1000
     assert (merged.positions[:, 2] > 0.1).sum() == 1 and merged.positions[:, 2].max() == 2
 
@@ -137,7 +143,7 @@ def test_near_places_get_small_cells():
     rng = np.random.default_rng(0)
     unit = np.column_stack([rng.uniform(0, 1, (20_000, 2)), np.zeros(20_000)])
     both = Points.joined([points_at(unit, size=0.01), points_at(4 * unit + [0, 0, 9], size=0.04)])
-    merged = merge(both, 500)
+    merged, _ = merge(both, 500)
     far = merged.positions[:, 2] > 5
     assert 0.8 < far.sum() / (~far).sum() < 1.25 and 350 < len(far) <= 500
-    assert 4e12 > merge(points_at([[0, 0, 0], [1e12, 1, 1]]), 5).positions.max() > 9e11
+    assert 4e12 > merge(points_at([[0, 0, 0], [1e12, 1, 1]]), 5)[0].positions.max() > 9e11

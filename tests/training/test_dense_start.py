@@ -74,7 +74,8 @@ def test_initial_gaussians_are_as_many_as_were_planned(city, float_device, monke
     wanted = prepared.decisions.facts.count
     with monkeypatch.context() as patch:  # they are known by the decisions
         patch.delattr(dense_points_module, "stereo_views")
-        gaussians, seconds = first_gaussians(float_device, prepared, SilentProgress())
+        gaussians, seconds, dense = first_gaussians(float_device, prepared, SilentProgress())
+    assert dense["sizes"].shape == (gaussians.count,) and (dense["sizes"] > 0).all()
     assert 0.5 * wanted < gaussians.count <= wanted < len(city.points) and seconds > 0
     assert 0 < start_seconds(float_device, prepared) < 60
     middle, extent = city.points.mean(axis=0), np.ptp(city.points, axis=0)
@@ -111,7 +112,7 @@ def test_photos_are_read_during_the_search(city, item_device, tmp_path, monkeypa
 def test_a_training_begins_there_and_counts_the_time(city, item_device, tmp_path, monkeypatch):
     """The time of dense points is time of the training, also after it was resumed."""
     monkeypatch.setattr(start_module, "first_gaussians",
-                        lambda *given: (first_gaussians(*given)[0], 1e3))
+                        lambda *given: first_gaussians(*given)._replace(seconds=1e3))
     run = trained(tmp_path / "run", city, item_device, schedule="sig", iterations=32 * LEAST_STEPS,
                   init="dense", stop_at=20, levels=(1.0,))
     assert records(run, "plan")[0]["reasons"]["init"].startswith("dense: ")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from clsplat.loss.options import REGISTERED
 from clsplat.training.part import Part
 from clsplat.training.parts.depth_maps import DepthMaps
+from clsplat.training.parts.entering_points import EnteringPoints
 from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.parts.image_term import ImageTerm
 from clsplat.training.parts.mcmc import PositionNoise, Regularisers
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 PARTS: tuple[type[Part], ...] = (
     CameraPoses, PhotoResponses, ImageTerm, Reprojection, DepthMaps, Regularisers,
-    PositionNoise, OutlierMasks)
+    PositionNoise, OutlierMasks, EnteringPoints)
 
 
 def parts_of(prepared: PreparedScene) -> list[Part]:

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from clsplat.device import Device
 from clsplat.gaussians import Gaussians
+from clsplat.training.parts.entering_points import entering
 from clsplat.training.photos import Photos, begin_checks, begin_photos
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
-from clsplat.training.start.initialise import first_gaussians
+from clsplat.training.start.initialise import Start, first_gaussians
 from clsplat.training.start.prepare import PreparedScene
 
 
@@ -23,15 +24,16 @@ def begin(prepared: PreparedScene, device: Device, folder: Path, progress: Silen
     error. InputError where a photo is damaged, also one of the test views, at which the run would
     stop at its first evaluation.
     """
-    seconds, levels = 0.0, prepared.decisions.values["levels"]
+    levels = prepared.decisions.values["levels"]
     level = level or (levels or [0.0])[0]  # 0: only the schedule knows
     with ExitStack() as reading:
         checks = reading.enter_context(closing(begin_checks(prepared.test_views)))
         begun = (level, reading.enter_context(closing(begin_photos(
             device, prepared.train_views, level, folder)))) if level else None
-        if gaussians is None:
-            gaussians, seconds = first_gaussians(device, prepared, progress)
-        schedule = prepared.schedule(gaussians)
+        start = (Start(gaussians, 0.0) if gaussians else
+                 first_gaussians(device, prepared, progress))
+        schedule = prepared.schedule(start.gaussians)
+        prepared, gaussians = entering(prepared, start, schedule)
         progress.phase("reading photos")
         checks.wait()
         checks.close()
@@ -40,4 +42,4 @@ def begin(prepared: PreparedScene, device: Device, folder: Path, progress: Silen
             begun=begun)))
         session = Session(prepared, device, gaussians, photos, schedule, progress)
         reading.pop_all()
-    return session, seconds
+    return session, start.seconds

@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from clsplat.options import SceneOptions, TrainOptions, seconds_of
 from clsplat.scene import Scene
 from clsplat.schedule.plan import SceneFacts
 from clsplat.schedule.registry import schedule_of
-from clsplat.stereo.dense_points import dense_points, sweep_seconds
+from clsplat.stereo.dense_points import Points, dense_points, sweep_seconds
 from clsplat.training.part import Survey
 from clsplat.training.photos import SMALL_SIDE, decoded, with_side
 from clsplat.training.progress import SilentProgress
@@ -136,19 +136,30 @@ def planned_count(limit: int | None, pixels: int, options: GrowthOptions) -> int
     return max(1, int(OF_THE_LIMIT * most))
 
 
-def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentProgress
-                    ) -> tuple[Gaussians, float]:
-    """The initial gaussians of a training, and the seconds that it took to find them, without the
-    compilation of kernels."""
-    began = time.perf_counter() - device.build_seconds
-    dense = _dense(device, prepared, progress) if prepared.options.init == "dense" else None
-    gaussians = initial_gaussians(prepared.scene, prepared.options, dense)
-    return gaussians, time.perf_counter() - device.build_seconds - began
+class Start(NamedTuple):
+    """Where a training begins."""
+
+    gaussians: Gaussians
+    seconds: float  # that it took to find them, without the compilation of kernels
+    # of dense points the `sizes` of a pixel there, and `pixels`, the size of cells
+    dense: dict[str, NDArray[np.float64]] | None = None
+
+
+def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentProgress) -> Start:
+    """The initial gaussians of a training."""
+    began, dense, coloured = time.perf_counter() - device.build_seconds, None, None
+    if prepared.options.init == "dense":
+        points, pixels = _dense(device, prepared, progress)
+        coloured = points.positions, points.colours.round().astype(np.uint8)
+        if not prepared.options.coarse:  # which puts them into another order
+            dense = {"sizes": points.sizes, "pixels": np.array([pixels])}
+    gaussians = initial_gaussians(prepared.scene, prepared.options, coloured)
+    return Start(gaussians, time.perf_counter() - device.build_seconds - began, dense)
 
 
 def _dense(device: Device, prepared: PreparedScene, progress: SilentProgress
-           ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """As many dense points as the decisions say, and their colours."""
+           ) -> tuple[Points, float]:
+    """As many dense points as the decisions say, and the size of their cells."""
     progress.phase("finding dense points: reading photos")
     small, photos = prepared.thumbnails.of(range(len(prepared.train_views)))
     return dense_points(
