@@ -7,22 +7,25 @@ None: all.
 
 from __future__ import annotations
 
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from clsplat.errors import InputError, reason
 
 Valid = NDArray[np.bool_] | None
 SSIM_WINDOW, SSIM_SIGMA = 11, 1.5  # pixels
-WEIGHTS = np.exp(-0.5 * (np.arange(SSIM_WINDOW) - SSIM_WINDOW // 2)**2 / SSIM_SIGMA**2)
+SIDE = SSIM_WINDOW // 2  # of a window, beside its middle
+TILE, STRIP = 16, 128  # pixels: a product smooths so many; rows at a time, which stay in the cache
 # of a monitor 0.7 m wide with 3840 pixels, seen from 0.7 m: the default of Andersson et al. (2020)
 PIXELS_PER_DEGREE = 67.02
-CHUNK_PIXELS = 1 << 14  # ten float64 features of a whole photo would not stay in cache
+CHUNK_PIXELS = 1 << 12  # ten float64 features of a whole photo would not stay in cache
 EXPORT = "export it from the lpips package with torch.onnx.export"
 
 
@@ -50,29 +53,48 @@ def ssim(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
             f"an image of {width}x{height} pixels is smaller than the {SSIM_WINDOW}x{SSIM_WINDOW} "
             "window of SSIM; use larger photos, by a smaller --downscale or a larger "
             "--max-resolution")
+    counted: Any = slice(SIDE, -SIDE), slice(SIDE, -SIDE)
+    if valid is not None:
+        whole = scipy.ndimage.minimum_filter(valid, SSIM_WINDOW, mode="constant", cval=0)
+        counted = whole if whole.any() else valid
     channels = zip(np.moveaxis(np.asarray(image), 2, 0), np.moveaxis(np.asarray(photo), 2, 0))
-    of_pixels = np.stack([_ssim_map(*(np.ascontiguousarray(each, np.float64) for each in pair))
-                          for pair in channels])
-    if valid is None:
-        border = slice(SSIM_WINDOW // 2, -(SSIM_WINDOW // 2))
-        return float(of_pixels[:, border, border].mean())
-    whole = scipy.ndimage.minimum_filter(valid, SSIM_WINDOW, mode="constant", cval=0)
-    return float(of_pixels[:, whole if whole.any() else valid].mean())
+    return float(np.mean([_ssim_map(_float64(x), _float64(y))[counted].mean()
+                          for x, y in channels]))
 
 
 def _ssim_map(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The SSIM of one channel at every pixel, [H, W]; half of the time of skimage's, which filters
-    the squares of both one by one."""
-    def mean(values: NDArray[np.float64]) -> Any:
-        correlate, weights = scipy.ndimage.correlate1d, WEIGHTS / WEIGHTS.sum()
-        return correlate(correlate(values, weights, 0), weights, 1)
+    """The SSIM of one channel at every pixel, [H, W], whose borders are mirrored."""
+    (height, width), sides = x.shape, [(SIDE, SIDE + -size % TILE) for size in x.shape]
+    x, y = np.pad(x, sides, "symmetric"), np.pad(y, sides, "symmetric")
+    strips = [slice(top, top + STRIP + 2 * SIDE) for top in range(0, height, STRIP)]
+    return np.concatenate([_similarity(x[strip], y[strip]) for strip in strips])[:height, :width]
 
-    mean_x, mean_y = mean(x), mean(y)
+
+def _similarity(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The SSIM of whole windows of a strip."""
+    mean_x, mean_y = _means(x), _means(y)
     product, squares = mean_x * mean_y, mean_x * mean_x + mean_y * mean_y
-    covariance, variances = mean(x * y) - product, mean(x * x + y * y) - squares
-    similarity: NDArray[np.float64] = (2 * product + 1e-4) * (2 * covariance + 9e-4) / (
+    covariance, variances = _means(x * y) - product, _means(x * x + y * y) - squares
+    tiles: NDArray[np.float64] = (2 * product + 1e-4) * (2 * covariance + 9e-4) / (
         (squares + 1e-4) * (variances + 9e-4))
-    return similarity
+    return tiles.swapaxes(1, 2).reshape(-1, tiles.shape[1] * TILE)
+
+
+def _means(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The weighted means of all whole windows, in tiles [rows, columns, TILE, TILE]: products with
+    a band matrix take a fifth of the time of a correlation."""
+    reach = TILE + 2 * SIDE
+    rows = _band() @ sliding_window_view(values, reach, axis=0)[::TILE].swapaxes(1, 2)
+    columns = sliding_window_view(rows, reach, axis=2)[:, :, ::TILE].swapaxes(1, 2)
+    return np.asarray(columns @ _band().T)
+
+
+@cache
+def _band() -> NDArray[np.float64]:
+    """[TILE, TILE + 2 SIDE]: in each row the weights of a window, one pixel further."""
+    away = np.arange(TILE + 2 * SIDE) - SIDE - np.arange(TILE)[:, None]
+    weights = np.where(abs(away) <= SIDE, np.exp(-0.5 * (away / SSIM_SIGMA)**2), 0.0)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
 def _float64(image: ArrayLike) -> NDArray[np.float64]:
@@ -174,7 +196,7 @@ def fit_colour(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> NDArr
     for begin in range(0, len(fitted), CHUNK_PIXELS):
         end = begin + CHUNK_PIXELS
         fitted[begin:end] = _features(pixels[:, begin:end]).T @ weights
-    return fitted.clip(0.0, 1.0).reshape(np.shape(image))
+    return fitted.clip(0.0, 1.0, out=fitted).reshape(np.shape(image))
 
 
 def _features(pixels: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -184,7 +183,6 @@ class Training:
         checkpoint, which is three times as large as the model.
         """
         with ThreadPoolExecutor(1) as writer:
-            writer.submit(import_module, "scipy.ndimage")  # for SSIM, while kernels are built
             with deferred_interrupt() as interrupted:
                 while not (self.finished() or self.stops() or interrupted()):
                     self.take_step()
