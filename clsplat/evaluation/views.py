@@ -52,11 +52,20 @@ def final_metrics(lpips: str | PathLike[str] | None = None) -> Mapping[str, Metr
     return FINAL_METRICS if not lpips else {**FINAL_METRICS, "lpips": Lpips(lpips)}
 
 
-def render_view(renderer: ModelRenderer, rows: Any, degree: int, camera: Camera,
-                response: Response | None = None) -> Image:
-    """float32[H, W, 3], 0 to 1: the image of a camera, or the photo by this response of it."""
+def render_view(renderer: ModelRenderer, rows: Any, degree: int, camera: Camera) -> Image:
+    """float32[H, W, 3], 0 to 1: the image of a camera."""
+    return _shown(_drawn(renderer, rows, degree, camera), camera)
+
+
+def _drawn(renderer: ModelRenderer, rows: Any, degree: int, camera: Camera) -> Image:
+    """float32[H, W, 3]: the colours of the scene, which few lie outside of 0 to 1."""
     frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height, degree)
     image: Image = frame.image.download().transpose(1, 2, 0)
+    return image
+
+
+def _shown(image: Image, camera: Camera, response: Response | None = None) -> Image:
+    """float32[H, W, 3], 0 to 1: colours of the scene, or the photo by this response of them."""
     return np.clip(response.applied(image, camera) if response else image, 0, 1)
 
 
@@ -91,21 +100,21 @@ def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Seque
 
     def rendered() -> Iterator[tuple[View, list[Image], Valid, list[float]]]:
         for view in views:
-            valid, response = read_valid(view), responses.get(view.name)
+            valid = read_valid(view)
             if valid is not None and not valid.any():
                 continue
-            renders, sizes = [render_view(renderer, rows, degree, view.camera, response)], []
+            renders, sizes = [_drawn(renderer, rows, degree, view.camera)], []
             if align:
                 correction = aligned(renderer, rows, degree, view, align)
-                renders.append(render_view(renderer, rows, degree,
-                                           correction.applied(view.camera), response))
+                renders.append(_drawn(renderer, rows, degree, correction.applied(view.camera)))
                 sizes = [correction.degrees, float(np.linalg.norm(correction.shift)) / align]
             yield view, renders, valid, sizes
 
     def scored(view: View, renders: list[Image], valid: Valid, sizes: list[float]
                ) -> tuple[dict[str, Any], tuple[Any, ...]]:
-        photo = photo_of(view)
-        shown = [each for image in renders for each in (image, fit_colour(image, photo, valid))]
+        photo, response = photo_of(view), responses.get(view.name)
+        images = [_shown(image, view.camera, response) for image in renders]
+        shown = [each for image in images for each in (image, fit_colour(image, photo, valid))]
         scores = [metric(each, photo, valid) for each in shown for metric in metrics.values()]
         return ({"name": view.name, **dict(zip(names, [*scores, *sizes]))},
                 (view, *shown[:2], photo, valid))

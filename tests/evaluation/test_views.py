@@ -43,7 +43,7 @@ def test_views_are_scored_in_their_order_whatever_their_number_at_once(city, ite
 
 
 @pytest.mark.parametrize("width, cores, at_once", [
-    (100, 64, 35), (100, 4, 4), (100, None, 1), (4000, 64, 1), (1000, 64, 3), (1000, 1, 1)])
+    (100, 128, 100), (100, 4, 4), (100, None, 1), (9000, 64, 1), (1000, 64, 10), (1000, 1, 1)])
 def test_as_many_are_scored_at_once_as_fit(city, monkeypatch, width, cores, at_once):
     monkeypatch.setattr(views_module.os, "cpu_count", lambda: cores)
     view = city.views[0]
