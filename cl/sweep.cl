@@ -11,9 +11,9 @@
 //
 // images: real[V, H, W, 2], the grey of a pixel and of the one to its right, 0 to 1; nan where a
 // pixel does not count, and beyond a photo that is smaller than the others. As pairs, a sample has
-// half of the reads, for which a CPU waits most. sizes: int[V, 2], (width, height). sources: int[S], the compared ones;
-// warps: real[S, 12]: A (3x3, by rows) and b, with which the pixel (x, y) at inverse depth w lies
-// at A (x, y, 1) + w b in the source, homogeneous.
+// half of the reads, for which a CPU waits most. sizes: int[V, 2], (width, height). sources:
+// int[S], the compared ones; warps: real[S, 12]: A (3x3, by rows) and b, with which the pixel
+// (x, y) at inverse depth w lies at A (x, y, 1) + w b in the source, homogeneous.
 // inverse_depths, scores: real[H, W]; both 0 where the window leaves the photo or has no texture,
 // or where the best plane is the first or the last, which says that the depth lies beyond. A fine
 // plane may lie up to half a spacing beyond these two.
