@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -26,6 +27,7 @@ SMALLEST_BYTES = 64  # of a buffer
 
 Handle = cl.Device  # a device that is not open, for modules that do not import pyopencl
 Shape = int | tuple[int, ...]
+Program = tuple[str, Defines, int]  # a file, constants of its build, and its declared kernels
 
 
 class Device:
@@ -48,7 +50,7 @@ class Device:
     adjoint_group : lanes of a group of the blend adjoint, a multiple of `wave`.
     largest_buffer : bytes.
     peak_bytes : the largest value that `memory_bytes` had whenever an array was made.
-    build_seconds : time spent on compiling so far.
+    build_seconds : time for which launches waited for compilers so far.
     launches : kernels and fills that were enqueued so far.
     waits : how often the host waited for the device so far.
     allocations : arrays that were created so far, of new memory or old.
@@ -81,7 +83,8 @@ class Device:
         self._persistent_bytes = 0  # of the arrays that are still alive
         self.peak_bytes = 0
         self._kernels: dict[tuple[Kernel, Defines, Defines], cl.Kernel] = {}
-        self._programs: dict[tuple[str, Defines, int], Any] = {}
+        self._programs: dict[Program, Any] = {}
+        self._ahead: dict[Program, Future[Any]] = {}  # programs that threads compile
         # built -> types of its scalar arguments, kernels like it that no recording uses
         self._spares: dict[cl.Kernel, tuple[list[Any], list[cl.Kernel]]] = {}
         self.build_seconds = 0.0
@@ -245,7 +248,7 @@ class Device:
 
     def _build(self, kernel: Kernel, defines: Defines) -> cl.Kernel:
         """The compiled kernel of this device's form and sizes, compiled once."""
-        sizes = tuple((name, getattr(self, size)) for name, size in DEVICE_SIZES.items())
+        sizes = self._sizes()
         key = kernel, defines, sizes
         if key not in self._kernels:
             start = time.perf_counter()
@@ -253,20 +256,40 @@ class Device:
             self.build_seconds += time.perf_counter() - start
         return self._kernels[key]
 
-    def _built(self, kernel: Kernel, defines: Defines) -> cl.Kernel:
-        file, contract = kernel.file, kernel.contract(self, defines)
+    def build_ahead(self, kernels: Iterable[tuple[Kernel, Defines]], threads: Executor) -> None:
+        """Compile kernels with these constants in threads; a launch waits for its own, and compiles
+        what was cancelled."""
+        # from here on: `catch_warnings` does not hold in several threads
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        for kernel, defines in kernels:
+            key, compiled = self._program(kernel, self._sizes() + defines)
+            if key not in self._programs and key not in self._ahead:
+                self._ahead[key] = threads.submit(compiled)
+
+    def _sizes(self) -> Defines:
+        return tuple((name, getattr(self, size)) for name, size in DEVICE_SIZES.items())
+
+    def _program(self, kernel: Kernel, defines: Defines) -> tuple[Program, Callable[[], Any]]:
+        """What the program of a kernel is known by, and what compiles it, in any thread."""
+        file = kernel.file
         # without what the source does not name, which would compile the same program again
         defines = tuple((name, value) for name, value in defines if name in words_of(file))
         contracts = [other.contract(self, defines) for other in Kernel.declared[file]
                      if other.forms.of(self)]
-        key = file, defines, len(contracts)
+        return (file, defines, len(contracts)), partial(
+            build, self.context, self.handle, kernel_source(file),
+            self._base_options + define_options(defines), contracts)
+
+    def _built(self, kernel: Kernel, defines: Defines) -> cl.Kernel:
+        file, contract = kernel.file, kernel.contract(self, defines)
+        key, compiled = self._program(kernel, defines)
         if key not in self._programs:
-            options = self._base_options + define_options(defines)
+            ahead = self._ahead.pop(key, None)
             try:
                 with warnings.catch_warnings():  # runtimes warn of every successful build
                     warnings.simplefilter("ignore", cl.CompilerWarning)
-                    self._programs[key] = build(self.context, self.handle, kernel_source(file),
-                                                options, contracts)
+                    self._programs[key] = (compiled() if ahead is None or ahead.cancelled()
+                                           else ahead.result())
             except cl.Error as error:
                 raise DeviceError(f"{self.name}: {file} does not build:\n{error}") from None
         built = cl.Kernel(self._programs[key], kernel.function)

@@ -15,7 +15,7 @@ from clsplat.constants import (
     VIGNETTING_TERMS,
 )
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
-from clsplat.rendering.blend import RESPONSE, Defines, Exposure
+from clsplat.rendering.blend import RESPONSE, Defines, Exposure, response_defines
 from clsplat.response import Lenses, Response
 
 IDENTITY = np.eye(3, 4)
@@ -106,7 +106,7 @@ class Exposures:
 
     @property
     def _defines(self) -> Defines:
-        return ("WITH_RESPONSE", 1), ("WITH_VIGNETTING", int(self.has_vignetting))
+        return response_defines(self.has_vignetting)
 
     def step(self, view: int, partials: Array, counts: Array) -> None:
         """Take one step of Adam on a view's transform and its lens; does not wait for the device.

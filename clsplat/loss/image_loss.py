@@ -4,6 +4,7 @@ from typing import Any
 
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
 from clsplat.primitives.reduce import sum_columns
+from clsplat.rendering.blend import Defines
 
 HAS_MAPS = Forms(item=False, group=True)  # whether the gradient has a kernel of its own
 STRIP_ROWS = 256  # image rows of a work-item of the item form, which reads 20 more
@@ -45,11 +46,16 @@ def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float
                   maps=device.empty((3, 3, height, width)) if HAS_MAPS.of(device) else None,
                   l1_scale=(1 - ssim_weight) / values, ssim_scale=-ssim_weight / values,
                   grad_image=grad_image)
-    defines = (("MASKED", 1),) if is_masked(photo) else ()
+    defines = mask_defines(is_masked(photo))
     device.launch(VALUE, defines, **shared, strip=STRIP_ROWS, partials=partials)
     if HAS_MAPS.of(device):
         device.launch(ADJOINT, defines, **shared)
     return partials, grad_image
+
+
+def mask_defines(masked: bool) -> Defines:
+    """The build-time choices for photos with a mask, or without."""
+    return (("MASKED", 1),) if masked else ()
 
 
 def is_masked(photo: Array) -> bool:

@@ -28,6 +28,7 @@ from clsplat.constants import (
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each
 from clsplat.gaussians import LEARNED
 from clsplat.primitives.gather import gather
+from clsplat.rendering.blend import Defines
 from clsplat.rendering.project import FieldGradients, Gradients
 
 LAG = ("last_step", "coefficients", "is_current")  # what checkpoints keep of lazy rows
@@ -59,6 +60,12 @@ CATCH_UP = Kernel(
     frozen=("uint", "F"), **_COEFFICIENTS, **_ROWS)
 CLEAR = Kernel("adam.cl", "adam_clear", each("count"), count="uint", begin="uint", end="uint",
                **_SMALL_MOMENTS)
+
+
+def adam_defines(harmonics: int, degree: int) -> Defines:
+    """The build-time choices for so many stored harmonics besides the constant ones, of which those
+    of a degree are active."""
+    return ("SH_REST", harmonics), ("DEGREE", degree)
 
 
 def learning_rates(decay: float, extent: float, opacity_rate: float) -> dict[str, float]:
@@ -192,8 +199,8 @@ class DeviceAdam:
             frozen=self._others["none_frozen"] if frozen is None else frozen,
             **self._state_of(rows))
 
-    def _defines(self, degree: int) -> tuple[tuple[str, int], ...]:
-        return ("SH_REST", self.harmonics), ("DEGREE", degree)
+    def _defines(self, degree: int) -> Defines:
+        return adam_defines(self.harmonics, degree)
 
     def _state_of(self, rows: Mapping[str, Array]) -> dict[str, Array]:
         """Rows and moments by the names that they have in the kernels."""

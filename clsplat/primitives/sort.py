@@ -12,6 +12,7 @@ SCATTER = Kernel("sort.cl", "sort_scatter", each("parts"), parts="uint", shift="
                  table=("uint", "C", "D"), sorted_keys=("uint", "R"), sorted_values=("uint", "R"))
 
 DIGIT_BITS = 11  # of a pass: its counters fit a CPU's cache
+SORT_DEFINES = (("DIGIT_BITS", DIGIT_BITS),)
 KEY_BITS = 32
 PARTS_A_CORE = 2
 MOST_PARTS = 32  # each work-item reads the counters of all
@@ -37,12 +38,12 @@ def stable_sort(device: Device, keys: Array, counts: Array) -> tuple[Array, Arra
     parts, room = parts_of(device), len(keys)
     table = device.empty((parts, 1 << DIGIT_BITS), np.uint32)
     sizes = dict(parts=parts, counts=counts, table=table)
-    defines = (("DIGIT_BITS", DIGIT_BITS),)
     values = keys  # any array of the right size: the first pass does not read it
     for shift in range(0, KEY_BITS, DIGIT_BITS):
         sorted_keys, sorted_values = (device.empty(room, np.uint32) for _ in range(2))
-        device.launch(COUNT, defines, **sizes, shift=shift, keys=keys)
-        device.launch(SCATTER, defines, **sizes, shift=shift, first=int(shift == 0), keys=keys,
-                      values=values, sorted_keys=sorted_keys, sorted_values=sorted_values)
+        device.launch(COUNT, SORT_DEFINES, **sizes, shift=shift, keys=keys)
+        device.launch(SCATTER, SORT_DEFINES, **sizes, shift=shift, first=int(shift == 0),
+                      keys=keys, values=values, sorted_keys=sorted_keys,
+                      sorted_values=sorted_values)
         keys, values = sorted_keys, sorted_values
     return keys, values

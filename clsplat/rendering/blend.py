@@ -162,12 +162,10 @@ def _of_features(features: Features | None) -> tuple[Defines, dict[str, Array | 
             {"visible": features.visible, "features": features.rows})
 
 
-def _of_response(exposure: Exposure | None) -> Defines:
-    """The build-time choices that follow from a response; without one both kernels have the same,
-    so that they are compiled together."""
-    if exposure is None:
-        return ()
-    return ("WITH_RESPONSE", 1), ("WITH_VIGNETTING", int(exposure.lenses is not None))
+def response_defines(with_vignetting: bool) -> Defines:
+    """The build-time choices of kernels that include respond.h, with a response; without one
+    `blend` and its adjoint have the same, so that they are compiled together."""
+    return ("WITH_RESPONSE", 1), ("WITH_VIGNETTING", int(with_vignetting))
 
 
 def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, background: Array,
@@ -200,9 +198,10 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
         result.checkpoints = device.empty((*states, channels + 1))
         result.depth_checkpoints = device.empty(states) if with_depth else None
     choices, arguments = _of_features(features)
-    device.launch(BLEND, (*defines, *choices, *_of_response(exposure)), width=width,
-                  height=height, first_tile=pairs.tiles.start, background=background,
-                  ranges=pairs.ranges, sorted_splats=pairs.sorted_splats, splats=splats,
+    responding = response_defines(exposure.lenses is not None) if exposure else ()
+    device.launch(BLEND, (*defines, *choices, *responding), width=width, height=height,
+                  first_tile=pairs.tiles.start, background=background, ranges=pairs.ranges,
+                  sorted_splats=pairs.sorted_splats, splats=splats,
                   **arguments, image=result.image,
                   transmittance=result.transmittance, last_contributor=result.last_contributor,
                   depth=result.depth_channel, **response, exposed=result.exposed,

@@ -182,7 +182,7 @@ def project(device: Device, rows: Rows, visible: Array, counts: Array, camera: A
     """
     splats = device.empty((len(visible), SPLAT_REALS))
     depth_keys = device.empty(len(visible), np.uint32)
-    device.launch(PROJECT, _of_degree(defines, sh_degree), counts=counts, rows=visible,
+    device.launch(PROJECT, of_degree(defines, sh_degree), counts=counts, rows=visible,
                   camera=camera, splats=splats, depth_keys=depth_keys, **_learned(rows))
     return splats, depth_keys
 
@@ -207,12 +207,9 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
         elsewhere, and what has a gradient; None: it saw all that are visible.
     with_pose : whether the gradient by the pose of the camera is needed.
     """
-    choices: Defines = (("WITH_FROZEN", int(frozen is not None)),
-                        ("WITH_STATISTICS", int(statistics is not None)),
-                        ("MASKED", int(masked is not None and statistics is not None)),
-                        ("WITH_POSE", int(with_pose)))
     summed, pairs = _summed(splat_grads)
-    count, defines = len(visible), (*_of_degree(defines, sh_degree), *choices, *summed)
+    count, defines = len(visible), (*of_degree(defines, sh_degree), *adjoint_choices(
+        frozen is not None, statistics is not None, masked is not None, with_pose), *summed)
     stored = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in LEARNED
               if f.name not in ("sh_constant", "sh_rest")}
     norms, seen = statistics or (None, None)
@@ -250,15 +247,29 @@ def sum_pairs(device: Device, splat_grads: SplatGrads, counts: Array, defines: D
     totals = splat_grads.earlier
     if totals is None:
         totals = device.empty((len(splat_grads.offsets), splat_grads.pair_grads.shape[1]))
-    device.launch(SUM_PAIRS, (*_of_degree(defines, 0), *summed), counts=counts, **pairs,
+    device.launch(SUM_PAIRS, (*of_degree(defines, 0), *summed), counts=counts, **pairs,
                   totals=totals)
     return totals
+
+
+def adjoint_choices(with_frozen: bool, with_statistics: bool, masked: bool, with_pose: bool
+                    ) -> Defines:
+    """The build-time choices of `project_adjoint` besides those of `project`, before those of
+    `summed_choices`."""
+    return (("WITH_FROZEN", int(with_frozen)), ("WITH_STATISTICS", int(with_statistics)),
+            ("MASKED", int(masked and with_statistics)), ("WITH_POSE", int(with_pose)))
+
+
+def summed_choices(splat_defines: Defines, carried: bool = False) -> Defines:
+    """The build-time choices of kernels that add up gradients of pairs: `SplatGrads.defines`, and
+    whether those of earlier bands are there."""
+    return *splat_defines, ("CARRIED", int(carried))
 
 
 def _summed(splat_grads: SplatGrads) -> tuple[Defines, dict[str, Array]]:
     """The defines and arguments of kernels that add up the gradients of pairs."""
     grads, earlier = splat_grads.pair_grads, splat_grads.earlier
-    return ((*splat_grads.defines, ("CARRIED", int(earlier is not None))),
+    return (summed_choices(splat_grads.defines, earlier is not None),
             dict(splat_counts=splat_grads.splat_counts, offsets=splat_grads.offsets,
                  pair_grads=grads, earlier=grads if earlier is None else earlier))
 
@@ -267,6 +278,6 @@ def _learned(rows: Rows) -> dict[str, Array]:
     return {field.name: rows[field.name] for field in LEARNED}
 
 
-def _of_degree(defines: Defines, degree: int) -> Defines:
+def of_degree(defines: Defines, degree: int) -> Defines:
     """The defines of the build for an active degree of the spherical harmonics."""
     return *defines, ("DEGREE", degree)

@@ -1,9 +1,13 @@
 """Contracts of kernels: what does not fit is refused, and the message names it."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
 from clsplat.device import Device, Forms, Kernel, each, groups, items
+from clsplat.device import device as device_module
 from clsplat.errors import DeviceError, ShapeError
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.gather import GATHER
@@ -58,6 +62,25 @@ def test_wrong_types_and_counts_are_refused(float_device):
 def test_a_kernel_that_does_not_build_names_its_file(float_device):
     with pytest.raises(DeviceError, match="sort.cl does not build"):
         float_device._build(Kernel("sort.cl", "sort_count", each("count"), count="uint"), ())
+
+
+def test_what_threads_compile_is_launched_or_refused_at_its_launch(float_device, monkeypatch):
+    """What does not build only there, and what was cancelled is compiled."""
+    gather, sort = (Kernel("gather.cl", "gather", each("count"), **TYPES),
+                    Kernel("sort.cl", "sort_count", each("count"), count="uint"))
+    device = Device(float_device.handle, form=float_device.form)
+    with ThreadPoolExecutor(1) as threads:
+        device.build_ahead([(gather, ()), (gather, ()), (sort, ())], threads)
+        cancelled = Device(float_device.handle, form=float_device.form)
+        threads.submit(time.sleep, 0.1)
+        cancelled.build_ahead([(gather, ())], threads)
+        threads.shutdown(cancel_futures=True)
+    with pytest.raises(DeviceError, match="sort.cl does not build"):
+        device._build(sort, ())
+    cancelled._build(gather, ())
+    monkeypatch.setattr(device_module, "build", pytest.fail)  # nothing is compiled any more
+    device._build(gather, ())
+    assert not device._ahead and not cancelled._ahead
 
 
 def test_what_a_source_does_not_name_compiles_nothing(float_device):
