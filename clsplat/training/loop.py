@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from clsplat.config.option import checked, is_auto
 from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted, reason
+from clsplat.evaluation.pictures import Pictures
 from clsplat.evaluation.views import pictures_of
 from clsplat.gaussians import Gaussians
 from clsplat.io.georeference.files import placed, placement_comments, write_placement
@@ -178,9 +179,9 @@ class Training:
     def run_to_end(self) -> None:
         """Take steps until the end, `stop_at` or Ctrl-C, which waits for its step; then save.
 
-        The checkpoint and then the finished model are written during the final evaluation; last is
-        the report, whose failure does no harm. A stage has neither, and once it is finished no
-        checkpoint, which is three times as large as the model.
+        The checkpoint and then the finished model are written while the final evaluation runs and
+        pictures are drawn; last is the report, whose failure does no harm. A stage has neither, and
+        once it is finished no checkpoint, which is three times as large as the model.
         """
         with ThreadPoolExecutor(1) as writer:
             with deferred_interrupt() as interrupted:
@@ -198,11 +199,15 @@ class Training:
             if not self.is_stage:
                 if self.evaluator.evaluated_at != self.session.iteration:
                     self.evaluator.evaluate()
+                pictures = None
+                with self._harmless("the pictures of its report"):
+                    pictures = self._pictures()
                 self.progress.phase("writing the model")
                 written.result()
                 self.recorder.log("time", seconds=self.progress.spent())
                 self.progress.phase("writing the report")
-                self._draw_report()
+                with self._harmless("the report"):
+                    write_report(self.run, pictures, self._scene)
         self.recorder.raise_failure()
 
     def begin(self) -> None:
@@ -371,19 +376,24 @@ class Training:
                     *placement_comments(session.scene.up, session.scene.georeference))
         return gaussians, session.scene.offset, comments
 
-    def _draw_report(self) -> None:
-        """Write the report. Failure is only a warning: the model is complete."""
+    def _pictures(self) -> Pictures:
+        """The pictures of the report."""
         session = self.session
+        return pictures_of(
+            session.renderer, session.model.current_rows(), session.options.sh_degree,
+            session.test_views, session.corrected(session.train_views), self.evaluator.per_view,
+            session.predicted())
+
+    @contextmanager
+    def _harmless(self, what: str) -> Iterator[None]:
+        """Make a warning of what goes wrong in the block: the model is complete without it."""
         try:
-            write_report(self.run, scene=self._scene, pictures=pictures_of(
-                session.renderer, session.model.current_rows(), session.options.sh_degree,
-                session.test_views, session.corrected(session.train_views),
-                self.evaluator.per_view, session.predicted()))
+            yield
         except ClsplatError:
             raise
         except Exception as error:  # noqa: BLE001  (no report is worth a model)
             if was_interrupted(error):
                 raise
             logging.getLogger(__name__).warning(
-                "%s: the report could not be drawn (%s: %s); the model is complete",
-                self.run.path, type(error).__name__, reason(error))
+                "%s: %s could not be drawn (%s: %s); the model is complete",
+                self.run.path, what, type(error).__name__, reason(error))

@@ -25,15 +25,17 @@ def broken(error):
     return call
 
 
+@pytest.mark.parametrize("moment, what", [("write_report", "the report"),
+                                          ("pictures_of", "the pictures of its report")])
 def test_a_report_that_cannot_be_drawn_costs_nothing_else(
-        whole, item_device, city, tmp_path, monkeypatch, caplog):
+        whole, item_device, city, tmp_path, monkeypatch, caplog, moment, what):
     """Faults C5a and C5b of the hostile trial: an encoding, a font, a user's matplotlibrc."""
-    monkeypatch.setattr(loop, "write_report", broken(UnicodeEncodeError("utf-8", "x", 0, 1, "")))
+    monkeypatch.setattr(loop, moment, broken(UnicodeEncodeError("utf-8", "x", 0, 1, "")))
     run = trained(tmp_path / "run", city, item_device, **OPTIONS)
     assert model_digest(run) == model_digest(whole)
     assert len(records(run, "eval")) == 1
-    assert "the report could not be drawn (UnicodeEncodeError" in caplog.text
-    assert not run.is_finished  # the same command draws it
+    assert f"{what} could not be drawn (UnicodeEncodeError" in caplog.text
+    assert run.is_finished is (moment == "pictures_of")  # the same command draws it
     monkeypatch.undo()
     assert resumed(run, city, item_device, **OPTIONS).is_finished
     assert len(records(run, "eval")) == 1
