@@ -24,10 +24,10 @@ from clsplat.schedule.plan import Plan, Schedule
 from clsplat.schedule.registry import schedule_of
 from clsplat.stereo.dense_points import Points, coarser
 from clsplat.training.part import Part, State
-from clsplat.training.start.initialise import Start
 
 if TYPE_CHECKING:
     from clsplat.training.session import Session
+    from clsplat.training.start.initialise import Start
     from clsplat.training.start.prepare import PreparedScene
     from clsplat.training.step import Step
 
