@@ -47,6 +47,7 @@ FILLED = 0.98  # of the cells that are wanted: a size that gives so many is good
 LARGEST_CELL = 2.0**20  # pixels
 Floats = NDArray[np.float64]
 Item = TypeVar("Item")
+Cells = tuple[NDArray[np.int64], NDArray[np.number]]  # see `_cells`
 DepthMap = tuple[NDArray[np.float32], NDArray[np.bool_]]  # see `_depth_maps`
 
 
@@ -256,13 +257,15 @@ def merge(points: Points, most: int) -> tuple[Points, float]:
     merged = _in_cells(points, 1.0)
     if not len(merged.sizes):
         return merged, 1.0
-    fitting: float | None = None
+    # the largest number of cells so far that is not too many: its size, and what `_cells` found
+    fitting: tuple[float, Cells | None] | None = None
     low, size, high = 1.0, 1.0, LARGEST_CELL
+    cells: Cells | None = None
+    number: NDArray[np.number] = merged.merged  # in cells of one pixel
     for _ in range(MOST_SIZES):
-        _, number = _cells(merged, size)
         count = np.count_nonzero(_are_surface(number))
         if count <= most:
-            fitting = high = size
+            fitting, high = (size, cells), size
             if size == 1.0 or count >= FILLED * most:
                 break
         else:
@@ -273,15 +276,19 @@ def merge(points: Points, most: int) -> tuple[Points, float]:
         size *= np.sqrt(count / (most * (1 + FILLED) / 2))
         if not low < size < high:
             size = np.sqrt(low * high)
-    found = _in_cells(merged, fitting or LARGEST_CELL)
-    return found.chosen(_are_surface(found.merged)), fitting or LARGEST_CELL
+        cells = _cells(merged, size)
+        number = cells[1]
+    size, cells = fitting or (LARGEST_CELL, None)
+    found = _means(merged, *(cells or _cells(merged, size)))
+    return found.chosen(_are_surface(found.merged)), size
 
 
 def coarser(points: Points, pixels: float) -> tuple[Points, NDArray[np.int64]]:
     """Merge points of equal weight in cells of so many pixels; returns also int64[N], the new point
     that each became a part of."""
     alike = points._replace(merged=np.ones(len(points.sizes), int))
-    return _in_cells(alike, pixels), _cells(alike, pixels)[0]
+    of, total = _cells(alike, pixels)
+    return _means(alike, of, total), of
 
 
 def _are_surface(merged: NDArray[np.number]) -> NDArray[np.bool_]:
@@ -295,9 +302,11 @@ def _in_cells(points: Points, pixels: float) -> Points:
 
     The means of means are the same, as a cell holds the mean of its points.
     """
-    if not len(points.sizes):
-        return points
-    of, total = _cells(points, pixels)
+    return _means(points, *_cells(points, pixels)) if len(points.sizes) else points
+
+
+def _means(points: Points, of: NDArray[np.int64], total: NDArray[np.number]) -> Points:
+    """The means of the points of each cell, from what `_cells` found."""
     weights = points.merged.astype(np.float64)
 
     def mean(values: Floats) -> Floats:
@@ -307,16 +316,21 @@ def _in_cells(points: Points, pixels: float) -> Points:
                   total.astype(int))
 
 
-def _cells(points: Points, pixels: float) -> tuple[NDArray[np.int64], NDArray[np.number]]:
+def _cells(points: Points, pixels: float) -> Cells:
     """The cell of each point, and how many were merged to each cell; see `_in_cells`."""
     octave = np.rint(np.log2(points.sizes))
-    side = pixels * 2.0**octave
-    place = [octave, *(np.floor(column / side) for column in points.positions.T)]
-    place = [column - column.min() for column in place]
+    side = np.ldexp(pixels, octave.astype(np.int32))
+    place = [octave, *(column / side for column in points.positions.T)]
+    for column in place:
+        np.floor(column, out=column)
+        column -= column.min()
     widths = [column.max() + 1 for column in place]
-    if np.prod(widths) * len(octave) < 2.0**62:
-        of = _numbered(np.ravel_multi_index([column.astype(np.int64) for column in place],
-                                            [int(width) for width in widths]))
+    if np.prod(widths) * len(octave) < 2.0**61:
+        keys = np.zeros(len(octave), np.int64)
+        for column, width in zip(place, widths):
+            keys *= int(width)
+            keys += column.astype(np.int64)
+        of = _numbered(keys)
     else:  # far-off points
         of = np.unique(np.stack(place, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
     return of, np.bincount(of, points.merged.astype(np.float64))
@@ -325,11 +339,12 @@ def _cells(points: Points, pixels: float) -> tuple[NDArray[np.int64], NDArray[np
 def _numbered(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     """As np.unique(keys, return_inverse=True)[1], in less than half of the time.
 
-    Keys times their number are below 2^62: each is sorted together with its place, as sorting
+    Keys times their number are below 2^61: each is sorted together with its place, as sorting
     numbers is several times as fast as finding their order.
     """
-    count = len(keys)
-    keys, place = np.divmod(np.sort(keys * count + np.arange(count)), count)
+    count, bits = len(keys), len(keys).bit_length()
+    together = np.sort(keys << bits | np.arange(count))
+    keys, place = together >> bits, together & (1 << bits) - 1
     number = np.empty(count, np.int64)
     number[place] = np.cumsum(np.concatenate([[False], keys[1:] != keys[:-1]]))
     return number
