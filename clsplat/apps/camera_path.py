@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import PchipInterpolator, interp1d
-from scipy.ndimage import gaussian_filter1d
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from clsplat.apps.orthophoto import LEAST_VIEWS, shown_by
 from clsplat.camera import Camera
@@ -78,10 +76,12 @@ def interpolated(keys: Keys, times: NDArray[np.float64], size: tuple[int, int], 
     size : (width, height) of the film, pixels.
     degrees : horizontal angle of view, where the keys have none.
     """
-    positions = PchipInterpolator(keys.times, keys.positions)(times)
-    turns = RotationSpline(keys.times, Rotation.from_matrix(keys.rotations))
+    positions = scipy.interpolate.PchipInterpolator(keys.times, keys.positions)(times)
+    turns = scipy.spatial.transform.RotationSpline(
+        keys.times, scipy.spatial.transform.Rotation.from_matrix(keys.rotations))
     own = np.broadcast_to(np.asarray(keys.degrees, np.float64), keys.times.shape)
-    angles = PchipInterpolator(keys.times, np.where(np.isnan(own), degrees, own))(times)
+    angles = scipy.interpolate.PchipInterpolator(
+        keys.times, np.where(np.isnan(own), degrees, own))(times)
     focals = size[0] / (2 * np.tan(np.radians(angles) / 2))
     return [Camera(*size, (focal, focal), (size[0] / 2, size[1] / 2), rotation,
                    -rotation @ position)
@@ -97,24 +97,27 @@ def flight(scene: Scene, seconds: float) -> Keys:
     chosen = [scene.views[i].camera
               for i in np.linspace(0, count - 1, number).round().astype(int)]
     positions = np.array([camera.position for camera in chosen])
-    quaternions = Rotation.from_matrix([camera.rotation for camera in chosen]).as_quat()
+    quaternions = scipy.spatial.transform.Rotation.from_matrix(
+        [camera.rotation for camera in chosen]).as_quat()
     # q and -q are the same turn
     opposite = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0
     quaternions[1:] *= np.cumprod(np.where(opposite, -1, 1))[:, None]
     times = np.linspace(0, 1, int(np.clip(KEYS_OF_A_PATH * seconds, *PATH_KEYS)))
     coarse = np.arange(number)
     fine = np.linspace(0, number - 1, FINER * max(number, len(times)))
-    curve = gaussian_filter1d(interp1d(coarse, positions, axis=0)(fine),
-                              SMOOTHING * len(fine) / number, axis=0, mode="nearest")
+    curve = scipy.ndimage.gaussian_filter1d(
+        scipy.interpolate.interp1d(coarse, positions, axis=0)(fine),
+        SMOOTHING * len(fine) / number, axis=0, mode="nearest")
     # a way of 0 would stand for two places at one time
     ways = np.linalg.norm(np.diff(curve, axis=0), axis=1)
     ways += LEAST_STEP * (np.abs(positions).max() or 1.0)
     along = np.concatenate([[0], np.cumsum(ways)])
     where = np.interp(times, along / along[-1], fine)
-    turns = gaussian_filter1d(interp1d(coarse, quaternions, axis=0)(where),
-                              TURNING * len(times) / seconds, axis=0, mode="nearest")
-    return Keys(times, world_of(scene, interp1d(fine, curve, axis=0)(where)),
-                Rotation.from_quat(turns).as_matrix())
+    turns = scipy.ndimage.gaussian_filter1d(
+        scipy.interpolate.interp1d(coarse, quaternions, axis=0)(where),
+        TURNING * len(times) / seconds, axis=0, mode="nearest")
+    return Keys(times, world_of(scene, scipy.interpolate.interp1d(fine, curve, axis=0)(where)),
+                scipy.spatial.transform.Rotation.from_quat(turns).as_matrix())
 
 
 def auto(scene: Scene, seconds: float) -> Keys:
@@ -212,7 +215,8 @@ def read_camera_path(path: Path) -> Keys:
         if matrices.shape[1:] not in ((3, 4), (4, 4)) or not (
                 abs(matrices) <= LARGEST_COORDINATE).all():
             raise ValueError("transform_matrix is not a 3x4 or 4x4 matrix of numbers")
-        turns = Rotation.from_matrix((matrices[:, :3, :3] * FLIPPED).transpose(0, 2, 1))
+        turns = scipy.spatial.transform.Rotation.from_matrix(
+            (matrices[:, :3, :3] * FLIPPED).transpose(0, 2, 1))
         is_timed = any("time" in frame for frame in frames)
         times = np.array([number(frame.get("time", None if is_timed else index), "time")
                           for index, frame in enumerate(frames)])

@@ -13,8 +13,8 @@ from typing import Any
 
 import contourpy
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from clsplat.apps.geotiff import Raster, bounded_memory
 from clsplat.apps.map_grid import MapGrid, ground_resolution
@@ -241,7 +241,7 @@ def contour_lines(heights: Heights, interval: float) -> list[ContourLine]:
         raise InputError(f"--contours {interval:g}: more than {MOST_LINES:,} lines; give a larger "
                          "interval")
     known = ~np.isnan(heights)
-    weight, total = (gaussian_filter(values, SMOOTHING) for values in (
+    weight, total = (scipy.ndimage.gaussian_filter(values, SMOOTHING) for values in (
         known.astype(np.float64), np.where(known, heights, 0.0)))
     generator = contourpy.contour_generator(
         z=np.ma.masked_array(total / np.maximum(weight, 1e-9), mask=~known))

@@ -7,16 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import (
-    binary_dilation,
-    binary_fill_holes,
-    binary_opening,
-    label,
-    map_coordinates,
-    median_filter,
-    zoom,
-)
 
 from clsplat.apps.map_grid import EXTENT, LARGEST_SIDE, TILE, MapGrid, ground_resolution
 from clsplat.camera import Camera
@@ -72,8 +64,8 @@ class MapPainter:
             depth_percent=percent) for percent in (MEDIAN, FIRST))
         covered = 1 - frame.blended.transmittance.download()
         heights, highest = (
-            np.round((self._grid.ceiling - median_filter(each.blended.depth.download(), SPECK,
-                                                         mode="nearest")) / self._step) * self._step
+            np.round((self._grid.ceiling - scipy.ndimage.median_filter(
+                each.blended.depth.download(), SPECK, mode="nearest")) / self._step) * self._step
             for each in (frame, first))
         known = (covered >= 1 - HOLE) & self._shown(camera, heights, covered)
         pixels = np.concatenate([frame.image.download(), known[None]]).transpose(1, 2, 0)
@@ -97,9 +89,9 @@ class MapPainter:
                                      self._grid.ceiling - tops])
         places = (in_camera - camera.translation) @ camera.rotation
         seen = shown_by(self._cameras, (places - self._scene.offset) / self._scene.unit)
-        square = median_filter((seen >= LEAST_VIEWS).reshape(len(middles), -1), SPECK)
-        inside: NDArray[np.bool_] = zoom(square.astype(np.float32), STEP, order=1, mode="nearest",
-                                         grid_mode=True) > 0.5
+        square = scipy.ndimage.median_filter((seen >= LEAST_VIEWS).reshape(len(middles), -1), SPECK)
+        inside: NDArray[np.bool_] = scipy.ndimage.zoom(
+            square.astype(np.float32), STEP, order=1, mode="nearest", grid_mode=True) > 0.5
         return inside
 
 
@@ -131,7 +123,7 @@ class Extent:
         steps = (np.arange(TILE) + 0.5) * grid.resolution
         places = np.stack([left + steps, top - steps], axis=1)
         columns, rows = self.grid.pixels(places).T - 0.5
-        inside: NDArray[np.bool_] = map_coordinates(
+        inside: NDArray[np.bool_] = scipy.ndimage.map_coordinates(
             self.known.astype(np.float32), np.meshgrid(rows, columns, indexing="ij"), order=1) > 0.5
         return inside
 
@@ -157,9 +149,10 @@ def extent_of(device: Device, run: Run, scene: Scene, grid: MapGrid) -> Extent:
     coarse = replace(grid, left=float(middle[0] - TILE / 2 * size), resolution=float(size),
                      top=float(middle[1] + TILE / 2 * size), columns=TILE, rows=TILE)
     _, surface = MapPainter(device, run, coarse, scene).tile(0, 0)
-    known = binary_opening(np.isfinite(surface[..., 0]), np.ones((3, 3)))
-    parts, count = label(known)
+    known = scipy.ndimage.binary_opening(np.isfinite(surface[..., 0]), np.ones((3, 3)))
+    parts, count = scipy.ndimage.label(known)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)
     sizes[0] = 0
     large = (sizes >= LEAST_PART * sizes.max())[parts] & known
-    return Extent(coarse, binary_fill_holes(binary_dilation(large, iterations=BESIDE)))
+    return Extent(coarse, scipy.ndimage.binary_fill_holes(
+        scipy.ndimage.binary_dilation(large, iterations=BESIDE)))
