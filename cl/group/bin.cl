@@ -12,7 +12,9 @@
 #include "group.h"
 DEFINE_GROUP_SCAN(group_scan, uint)
 DEFINE_GROUP_SCAN(group_scan_long, ulong)
-#define GIANT 64 // tiles of a splat above which it is a giant
+#ifndef GIANT // tiles of a splat above which it is a giant
+#define GIANT 1024
+#endif
 #define SORTED_AT_ONCE (GROUP * PER_ITEM)
 #define FEW (GROUP / 2) // keys that are sorted by counting smaller ones
 

@@ -21,6 +21,9 @@
 #else
 #define DIVIDE(A, B) ((A) / (B))
 #endif
+#ifndef AT_ONCE // splats whose alphas a lane computes before it blends them: none waits for another
+#define AT_ONCE 2
+#endif
 #ifndef TOGETHER // splats whose sums the adjoint adds up at once, one lane a sum
 #define TOGETHER (ADJOINT_GROUP / SUMS < 3 ? ADJOINT_GROUP / SUMS : 3)
 #endif
@@ -128,21 +131,32 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
                 IF_DEPTH(depth_checkpoints[slot] = z;)
             }
             uint bits = hits[lane / WAVE][word];
-            while (bits) {
-                const int bit = clz(bits), j = word * 32 + bit;
-                bits ^= 0x80000000u >> bit;
-                const real4 s = shape[j], k = conic[j];
-                const real dx = x - s.x, dy = y - s.y;
-                const real power = POWER(k, POWER_XX(k, dx), POWER_X(k, dx), dy);
-                const bool live = power >= s.w;
-                const real w = cut_alpha(s.z * exp2_where(live, power)) * t, next = t - w;
-                done = next < (real)TRANSMITTANCE_MIN;
-                if (done)
-                    break;
-                c = scaled_sum(c, w, colour_in(colour[j]));
-                IF_DEPTH(z = with_depth(z, other_in(colour[j]), w, t);)
-                t = next;
-                latest = live ? base + j : latest;
+            while (bits && !done) {
+                int j[AT_ONCE];
+                bool live[AT_ONCE];
+                real alpha[AT_ONCE];
+#pragma unroll
+                for (int i = 0; i < AT_ONCE; i++) {
+                    const int bit = clz(bits); // 32 where none is left
+                    bits &= ~(0x80000000u >> bit);
+                    j[i] = bit < 32 ? (int)word * 32 + bit : j[0];
+                    const real4 s = shape[j[i]], k = conic[j[i]];
+                    const real dx = x - s.x, dy = y - s.y;
+                    const real power = POWER(k, POWER_XX(k, dx), POWER_X(k, dx), dy);
+                    live[i] = bit < 32 && power >= s.w;
+                    alpha[i] = cut_alpha(s.z * exp2_where(live[i], power));
+                }
+#pragma unroll
+                for (int i = 0; i < AT_ONCE; i++) {
+                    const real w = alpha[i] * t, next = t - w;
+                    done = done || next < (real)TRANSMITTANCE_MIN;
+                    if (!done) {
+                        c = scaled_sum(c, w, colour_in(colour[j[i]]));
+                        IF_DEPTH(z = with_depth(z, other_in(colour[j[i]]), w, t);)
+                        t = next;
+                        latest = live[i] ? base + j[i] : latest;
+                    }
+                }
             }
         }
         barrier(CLK_LOCAL_MEM_FENCE);

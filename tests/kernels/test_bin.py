@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.constants import COUNT_PAIRS
+from clsplat.device import Device
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.bin import TooManyPairs, bin_splats, count_tiles, tile_grid
 from tests import cases
@@ -142,3 +143,14 @@ def test_more_pairs_than_the_limit_are_refused(device, monkeypatch):
     monkeypatch.setattr("clsplat.rendering.bin.PAIR_LIMIT", count - 1)  # of the kernels' numbers
     with pytest.raises(TooManyPairs, match=f"more than {count - 1}"):
         Binned(device, rows, 61, 37, limit=count)
+
+
+def test_pairs_of_giants_are_dealt_row_by_row(item_device):
+    """To the same pairs in the same order, whatever counts as a giant."""
+    rows = rows_of(300, 200, 150, seed=5)
+    usual, with_giants = (
+        Binned(Device(item_device.handle, form="group", build_options=options), rows, 200, 150)
+        for options in ((), ("-DGIANT=8",)))
+    assert usual.counts.max() > 64
+    assert all(map(np.array_equal, usual.lists, with_giants.lists))
+    assert np.array_equal(usual.emission_indices, with_giants.emission_indices)
