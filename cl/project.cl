@@ -5,6 +5,9 @@
 //
 // Parameters are real[N, ...] rows; splats real[V, SPLAT_REALS] and all gradients real[V, ...] are
 // rows of visible gaussians; rows[v], ascending, is the gaussian of splat v.
+//
+// A build with the choices of the adjoint, of which WITH_FROZEN is one, has its kernels alone, and
+// one without them the others: either takes about half as long to compile as all.
 #include "real.h"
 #include "each.h"
 #include "projection.h"
@@ -60,6 +63,7 @@
 #include "group/project.cl"
 #endif
 
+#ifndef WITH_FROZEN
 // depth_keys: uint[V], which sort splats front to back (positive floats order as their bits). A
 // gaussian that `cull` saw but that cannot be drawn, as its parameters have changed since, becomes
 // a splat without tiles.
@@ -106,6 +110,24 @@ __kernel void project(__global const uint *restrict counts,
     }
 }
 
+// The sums over the pairs of each splat in a band (see `project_adjoint`), for the bands that
+// follow: totals: real[V, SUMS], which may be `earlier`. A splat's pairs are emitted in the order
+// of tiles, which is that of bands too: the additions are those of a frame in one piece.
+__kernel void sum_pairs(__global const uint *restrict counts,
+                        __global const uint *restrict splat_counts,
+                        __global const uint *restrict offsets,
+                        __global const real *restrict pair_grads, __global const real *earlier,
+                        __global real *totals)
+{
+    GAUSSIANS_MEMORY
+    const uint count = counts[COUNT_VISIBLE];
+    FOR_EACH_GAUSSIAN(v, count, LOAD_SUMS(count)) {
+        SUMS_OF(v, sum);
+        for (int k = 0; k < SUMS; k++)
+            totals[v * SUMS + k] = sum[k];
+    }
+}
+#else
 // From the gradients of pairs (pair_grads: real[P, SUMS], see splat.h) to those of the parameters.
 // Those of a splat are the splat_counts[v] rows from offsets[v] on, and are added up in this order;
 // CARRIED: to its sums over earlier bands, earlier: real[V, SUMS].
@@ -301,24 +323,6 @@ __kernel void project_adjoint(
     }
 }
 
-// The sums over the pairs of each splat in a band, for the bands that follow: totals: real[V,
-// SUMS], which may be `earlier`. A splat's pairs are emitted in the order of tiles, which is that
-// of bands too: the additions are those of a frame in one piece.
-__kernel void sum_pairs(__global const uint *restrict counts,
-                        __global const uint *restrict splat_counts,
-                        __global const uint *restrict offsets,
-                        __global const real *restrict pair_grads, __global const real *earlier,
-                        __global real *totals)
-{
-    GAUSSIANS_MEMORY
-    const uint count = counts[COUNT_VISIBLE];
-    FOR_EACH_GAUSSIAN(v, count, LOAD_SUMS(count)) {
-        SUMS_OF(v, sum);
-        for (int k = 0; k < SUMS; k++)
-            totals[v * SUMS + k] = sum[k];
-    }
-}
-
 // Gradients of the harmonics for those who need them in memory: grad_sh_constant: real[V, 3];
 // grad_sh_rest: real[V, SH_REST, 3], 0 for harmonics that are not active.
 __kernel void harmonics_gradients(__global const uint *restrict counts,
@@ -340,3 +344,4 @@ __kernel void harmonics_gradients(__global const uint *restrict counts,
             vstore3((real3)(0), v * SH_REST + k, grad_sh_rest);
     }
 }
+#endif
