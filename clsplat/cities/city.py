@@ -191,6 +191,7 @@ def find_dense_gaussians(city: City, progress: SilentProgress | None = None) -> 
     prepared = prepare(city.pinhole, city.options)
     if prepared.options.init != "dense":
         return
-    gaussians = first_gaussians(city.device, prepared, progress or SilentProgress()).gaussians
+    gaussians = first_gaussians(city.device, prepared, progress or SilentProgress(),
+                                enter=False).gaussians
     write_ply(city.folder.dense, gaussians.with_sh_degree(0).scaled(prepared.scene.unit),
               city.scene.offset, sphere=True)

@@ -10,44 +10,45 @@ one was trained.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import SH_C0
 from clsplat.densify.grow import Growth
 from clsplat.densify.sphere import with_spheres
 from clsplat.gaussians import Gaussians
-from clsplat.schedule.plan import Plan, Schedule
+from clsplat.scene import Scene, View
+from clsplat.schedule.plan import Plan, SceneFacts
 from clsplat.schedule.registry import schedule_of
 from clsplat.stereo.dense_points import Points, coarser
 from clsplat.training.part import Part, State
 
 if TYPE_CHECKING:
+    from clsplat.options import ScheduledOptions
     from clsplat.training.session import Session
-    from clsplat.training.start.initialise import Start
     from clsplat.training.start.prepare import PreparedScene
     from clsplat.training.step import Step
 
 FEWEST = 100  # points: the next finer level then begins at once
 CHANGED = "positions", "sh_constant", "log_scales"  # rows whose training the next level takes over
-Rows = dict[str, NDArray[np.floating]]
+STATE = "positions", "colours", "sizes", "pixels"  # of the points of the finest level
 
 
 class EnteringPoints(Part):
     """The gaussians of this level and of those to come.
 
-    `levels` and `nodes`, the initial gaussians of each as far as they differ, are from coarse to
-    fine; `parents` has for each level but the first int64[N], what each gaussian was merged to.
+    `levels` and `nodes`, the initial gaussians of each, are from coarse to fine; `parents` has for
+    each level but the first int64[N], what each gaussian was merged to.
     """
 
     name = "points"
 
     def __init__(self) -> None:
         self.levels: tuple[float, ...] = ()
-        self.nodes: list[Rows] = []
+        self.nodes: list[Future[Gaussians]] = []
         self.parents: list[NDArray[np.int64]] = []
         self._state: State = {}
 
@@ -56,33 +57,30 @@ class EnteringPoints(Part):
         options = prepared.options
         return options.init == "dense" and schedule_of(options.schedule).points_enter
 
-    def fill(self, state: State, levels: Sequence[float], sh_degree: int, neighbours: int
-             ) -> Gaussians:
-        """Merge the gaussians of the finest level; returns those of the coarsest.
+    def fill(self, state: State, levels: Sequence[float], options: ScheduledOptions) -> Gaussians:
+        """Merge the points of the finest level; returns the gaussians of the coarsest.
 
-        `state` has their CHANGED rows and `max_offsets`, if they have spheres, the `sizes` of a
-        pixel there, float64[N], and of a cell in `pixels`, float64[1]; the other arguments are
-        options.
+        `state` has STATE: positions, float64[N, 3], colours, uint8[N, 3], the size of a pixel at
+        each, float64[N], and that of a cell in pixels, float64[1]. The gaussians of levels to come
+        are made in a thread, as most of the time goes to distances between the finest points.
         """
-        finest = {name: state[name] for name in (*CHANGED, "max_offsets") if name in state}
-        self._state = {**finest, "sizes": state["sizes"], "pixels": state["pixels"]}
-        self.levels, self.nodes, self.parents = tuple(levels), [finest], []
-        points = Points(finest["positions"].astype(np.float64),
-                        (finest["sh_constant"] * SH_C0 + 0.5) * 255.0, state["sizes"],
-                        np.ones(len(state["sizes"]), int))
+        self._state, self.levels, self.parents = state, tuple(levels), []
+        position, colour, sizes, pixels = (state[name] for name in STATE)
+        points = [Points(position, colour.astype(np.float64), sizes, np.ones(len(sizes), int))]
         for level in self.levels[-2::-1]:
-            merged, parents = coarser(points, level * float(state["pixels"][0]))
+            merged, parents = coarser(points[0], level * float(pixels[0]))
             if len(merged.sizes) < FEWEST:
-                merged, parents = points, np.arange(len(points.sizes))
-            points = merged
-            gaussians = Gaussians.from_points(
-                points.positions, points.colours.clip(0, 255).round().astype(np.uint8),
-                sh_degree)
-            if "max_offsets" in finest:
-                gaussians = with_spheres(gaussians, neighbours)
-            self.nodes.insert(0, {name: gaussians.rows[name] for name in finest})
+                merged, parents = points[0], np.arange(len(points[0].sizes))
+            points.insert(0, merged)
             self.parents.insert(0, parents)
-        return gaussians
+        thread = ThreadPoolExecutor(1)
+        self.nodes = [thread.submit(_gaussians, each, options) for each in points]
+        thread.shutdown(wait=False)
+        return self.nodes[0].result()
+
+    def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View],
+              gaussians: Gaussians | None) -> SceneFacts:
+        return replace(facts, count=len(self._state["sizes"]))  # of all that will have entered
 
     def before_step(self, session: Session, plan: Plan) -> dict[str, Any] | None:
         entered = 0
@@ -94,11 +92,10 @@ class EnteringPoints(Part):
         """Let the gaussians of the next level take the place of those that they were merged to;
         returns how many they are."""
         step.model.catch_up()
-        (was, new, *_), parents = self.nodes, self.parents[0]
-        rows: Rows = {
-            name: new[name] + (step.model.rows[name].download() - was[name])[parents]
-            for name in CHANGED}
-        if "max_offsets" in new:
+        (was, new), parents = (node.result().rows for node in self.nodes[:2]), self.parents[0]
+        rows = {name: new[name] + (step.model.rows[name].download() - was[name])[parents]
+                for name in CHANGED}
+        if "anchors" in new:
             rows |= {"anchors": rows["positions"], "max_offsets": new["max_offsets"]}
         step.replace_rows(Growth(parents.astype(np.uint32), 0, 0, 0, 0, {
             name: (0, values.astype(np.float32)) for name, values in rows.items()}))
@@ -114,19 +111,15 @@ class EnteringPoints(Part):
 
     def load(self, state: State, session: Session) -> None:
         if state:
-            self.fill(state, session.schedule.levels, session.options.sh_degree,
-                      session.options.sphere_neighbours)
+            self.fill(state, session.schedule.levels, session.options)
             while self.levels[0] > session.level:
                 self._drop_coarsest()
 
 
-def entering(prepared: PreparedScene, start: Start, schedule: Schedule
-             ) -> tuple[PreparedScene, Gaussians]:
-    """The scene of a new training with this part, and the gaussians with which it begins; both as
-    they are where points do not enter with the levels."""
-    if not (start.dense and schedule.points_enter and len(schedule.levels) > 1):
-        return prepared, start.gaussians
-    part, options = EnteringPoints(), prepared.options
-    gaussians = part.fill({**start.gaussians.rows, **start.dense}, schedule.levels,
-                          options.sh_degree, options.sphere_neighbours)
-    return replace(prepared, given=(*prepared.given, part)), gaussians
+def _gaussians(points: Points, options: ScheduledOptions) -> Gaussians:
+    """The initial gaussians at points."""
+    gaussians = Gaussians.from_points(points.positions, points.colours.round().astype(np.uint8),
+                                      options.sh_degree)
+    if options.sphere and "spheres" in schedule_of(options.schedule).parts:
+        return with_spheres(gaussians, options.sphere_neighbours)
+    return gaussians

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 
 from clsplat.device import Device
 from clsplat.gaussians import Gaussians
-from clsplat.training.parts.entering_points import entering
 from clsplat.training.photos import THREADS, Photos, begin_checks, begin_photos
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
@@ -38,15 +38,15 @@ def begin(prepared: PreparedScene, device: Device, folder: Path, progress: Silen
             device.build_ahead(first_kernels(prepared, device), threads)
         start = (Start(gaussians, 0.0) if gaussians else
                  first_gaussians(device, prepared, progress))
+        prepared = replace(prepared, given=(*prepared.given, *start.parts))
         schedule = prepared.schedule(start.gaussians)
-        prepared, gaussians = entering(prepared, start, schedule)
         progress.phase("reading photos")
         checks.wait()
         checks.close()
         photos = reading.enter_context(closing(Photos(
             device, prepared.train_views, schedule.levels, folder=folder, level=level,
             begun=begun)))
-        session = Session(prepared, device, gaussians, photos, schedule, progress)
+        session = Session(prepared, device, start.gaussians, photos, schedule, progress)
         reading.pop_all()
         threads.shutdown(wait=False)
     return session, start.seconds

@@ -24,7 +24,8 @@ from clsplat.scene import Scene
 from clsplat.schedule.plan import SceneFacts
 from clsplat.schedule.registry import schedule_of
 from clsplat.stereo.dense_points import Points, dense_points, sweep_seconds
-from clsplat.training.part import Survey
+from clsplat.training.part import Part, Survey
+from clsplat.training.parts.entering_points import STATE, EnteringPoints
 from clsplat.training.photos import SMALL_SIDE, decoded, with_side
 from clsplat.training.progress import SilentProgress
 
@@ -141,20 +142,26 @@ class Start(NamedTuple):
 
     gaussians: Gaussians
     seconds: float  # that it took to find them, without the compilation of kernels
-    # of dense points the `sizes` of a pixel there, and `pixels`, the size of cells
-    dense: dict[str, NDArray[np.float64]] | None = None
+    parts: tuple[Part, ...] = ()  # that follow from them
 
 
-def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentProgress) -> Start:
-    """The initial gaussians of a training."""
-    began, dense, coloured = time.perf_counter() - device.build_seconds, None, None
-    if prepared.options.init == "dense":
+def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentProgress,
+                    enter: bool = True) -> Start:
+    """The initial gaussians of a training; `enter`: dense points may enter with its levels."""
+    began, options = time.perf_counter() - device.build_seconds, prepared.options
+    part, dense = EnteringPoints(), None
+    if options.init == "dense":
         points, pixels = _dense(device, prepared, progress)
-        coloured = points.positions, points.colours.round().astype(np.uint8)
-        if not prepared.options.coarse:  # which puts them into another order
-            dense = {"sizes": points.sizes, "pixels": np.array([pixels])}
-    gaussians = initial_gaussians(prepared.scene, prepared.options, coloured)
-    return Start(gaussians, time.perf_counter() - device.build_seconds - began, dense)
+        dense = points.positions, points.colours.round().astype(np.uint8)
+        levels = prepared.decisions.values["levels"]
+        enter &= part.is_used(prepared) and len(levels) > 1 and not options.coarse
+    if dense is not None and enter:
+        gaussians = part.fill(dict(zip(STATE, (*dense, points.sizes, np.array([pixels])))), levels,
+                              options)
+    else:
+        gaussians = initial_gaussians(prepared.scene, options, dense)
+    seconds = time.perf_counter() - device.build_seconds - began
+    return Start(gaussians, seconds, (part,) if part.levels else ())
 
 
 def _dense(device: Device, prepared: PreparedScene, progress: SilentProgress
