@@ -14,16 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clsplat import constants
 from clsplat.camera import Camera
-from clsplat.constants import (
-    NO_ROW,
-    SPLAT_CONIC,
-    SPLAT_CUTOFF,
-    SPLAT_DEPTH,
-    SPLAT_EXTENT_Y,
-    SPLAT_MEAN,
-    SPLAT_REALS,
-)
 from clsplat.densify.scores import Statistics
 from clsplat.device import Array, Device
 from clsplat.gaussians import LEARNED
@@ -113,11 +105,13 @@ def tile_lists(device: Device) -> Compared:
     rng, (width, height), count = np.random.default_rng(11), (90, 70), 6000
     tiles_x, tiles_y = tile_grid(device, width, height)
     own = np.where(rng.random(count) < 0.85, 5, rng.integers(0, tiles_x * tiles_y, count))
-    splats = np.zeros((count, SPLAT_REALS))
-    splats[:, SPLAT_MEAN:SPLAT_MEAN + 2] = device.tile * (
+    splats = np.zeros((count, constants.SPLAT_REALS))
+    splats[:, constants.SPLAT_MEAN:constants.SPLAT_MEAN + 2] = device.tile * (
         np.column_stack([own % tiles_x, own // tiles_x]) + 0.5)
-    splats[:, [SPLAT_CUTOFF, SPLAT_CONIC, SPLAT_CONIC + 2, SPLAT_EXTENT_Y]] = 1
-    depths = splats[:, SPLAT_DEPTH] = rng.integers(1, 500, count)
+    for column in (constants.SPLAT_CUTOFF, constants.SPLAT_CONIC, constants.SPLAT_CONIC + 2,
+                   constants.SPLAT_EXTENT_Y):
+        splats[:, column] = 1
+    depths = splats[:, constants.SPLAT_DEPTH] = rng.integers(1, 500, count)
     order = np.argsort(depths, kind="stable").astype(np.uint32)
     pairs = bin_splats(device, device.upload(splats), new_counts(device, count),
                        device.upload(order), width, height)
@@ -166,7 +160,7 @@ def adam(device: Device) -> Compared:
     visible = np.flatnonzero(stored()["visible"]).astype(np.uint32)
     rows = {field.name: device.upload(stored()[f"in_{field.name}"]) for field in LEARNED}
     engine, seen = DeviceAdam(device, rows), device.upload(visible)
-    finite = device.upload(np.concatenate([[NO_ROW], visible[1:]]).astype(np.uint32))
+    finite = device.upload(np.concatenate([[constants.NO_ROW], visible[1:]]).astype(np.uint32))
     for number, factor in ((1, 1.0), (2, LATER)):
         fields = {field.name: device.upload(np.float32(factor) * stored()[f"grad_{field.name}"][
             visible]) for field in LEARNED}

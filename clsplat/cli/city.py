@@ -9,19 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsplat.cli.flags import (
-    DEVICE,
-    FiniteRange,
-    SectionedCommand,
-    SectionedOption,
-    TrainingCommand,
-    config_options,
-    device_flag,
-    flags_of,
-    given_options,
-    moved_scene_flag,
-    training_flags,
-)
+from clsplat.cli import flags
 from clsplat.cli.train import ending
 from clsplat.errors import InputError, Interrupted
 from clsplat.partition.options import PartitionOptions
@@ -31,16 +19,16 @@ if TYPE_CHECKING:
     from clsplat.cities.run import Finished
     from clsplat.io.runs.city import CityFolder
 
-BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
+BLOCKS: dict[str, Any] = {"cls": flags.SectionedOption, "section": "Blocks"}
 TREE_HELP = ("Merge into a tree of levels of detail, CITY/point_cloud.tree, which `render`, `film` "
              "and `view` read in parts, in place of point_cloud.ply: one block at a time is in "
              "memory, and nothing is evaluated.")
 
 
-@click.command(cls=TrainingCommand)
+@click.command(cls=flags.TrainingCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
-@training_flags
-@flags_of(PartitionOptions)
+@flags.training_flags
+@flags.flags_of(PartitionOptions)
 @click.option("-o", "--output", type=click.Path(path_type=Path), **BLOCKS,
               help="Folder of the city; default: SCENE.city.")
 @click.option("--workers", type=click.IntRange(min=1), **BLOCKS, help="Number of blocks that are "
@@ -70,21 +58,21 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int |
     from clsplat.io.runs.city import CityFolder
     from clsplat.io.scenes.read import read_scene
     from clsplat.options import resolve
-    given = {**config_options(ctx), **given_options(ctx)}
+    given = {**flags.config_options(ctx), **flags.given_options(ctx)}
     devices = _devices(given.pop("device", ""), workers, scheduler)
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
     data, folder = read_scene(scene, options.images), CityFolder(output or _beside(scene))
     finished = train_city(data, options, folder.path, workers=workers, devices=devices,
-                          partition=given_options(ctx, PartitionOptions), scheduler=scheduler,
+                          partition=flags.given_options(ctx, PartitionOptions), scheduler=scheduler,
                           fill=fill, against=against, tree=tree,
                           shown=_shown(quiet, options.stop_at))
     _print(folder, finished, against, quiet)
 
 
-@click.command("partition", cls=SectionedCommand)
+@click.command("partition", cls=flags.SectionedCommand)
 @click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
-@flags_of(PartitionOptions)
-@moved_scene_flag
+@flags.flags_of(PartitionOptions)
+@flags.moved_scene_flag
 @click.pass_context
 def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, **_options: object
                       ) -> None:
@@ -96,16 +84,16 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
     from clsplat.cities.run import cut_city
     from clsplat.io.runs.city import CityFolder
     city = CityFolder(folder)
-    click.echo(cut_city(city, given_options(ctx, PartitionOptions), scene))
+    click.echo(cut_city(city, flags.given_options(ctx, PartitionOptions), scene))
     click.echo(f"{city.picture}")
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--device", envvar=DEVICE,
+@click.option("--device", envvar=flags.DEVICE,
               help="As for `clsplat train`; default: that of the city.")
 @click.option("--stop-at", type=click.IntRange(min=1), help="Stop after this step.")
-@click.option("--wait", type=FiniteRange(0, 86400), default=0, show_default=True,
+@click.option("--wait", type=flags.FiniteRange(0, 86400), default=0, show_default=True,
               help="Seconds to wait for another process that trains this block.")
 @click.option("--alone", is_flag=True, help="Do without the exchanges with other blocks that are "
               "left.")
@@ -146,8 +134,8 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
 @click.option("--against", type=click.Path(path_type=Path), help="A run of the whole scene, or its "
               "PLY, as the reference for seams, in place of the coarse model.")
 @click.option("--tree", is_flag=True, help=TREE_HELP)
-@device_flag
-@moved_scene_flag
+@flags.device_flag
+@flags.moved_scene_flag
 @click.pass_context
 def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tree: bool,
           device: str, scene: Path | None) -> None:

@@ -8,16 +8,7 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import (
-    FiniteRange,
-    Parsed,
-    check_free,
-    device_flag,
-    everything_flag,
-    host_bytes,
-    host_memory_flag,
-    moved_scene_flag,
-)
+from clsplat.cli import flags
 from clsplat.errors import InputError
 
 LARGEST_SIDE = 8192  # pixels: the most that H.264 has a level for
@@ -41,19 +32,19 @@ def _size(text: str) -> tuple[int, int]:
 @click.option("--path", "route", default=AUTO, show_default=True, metavar="PATH",
               help="auto: obliquely over a site whose photos look down, else as photos; photos: "
               "along the photos; turntable: around the scene; or a JSON file with a camera path.")
-@click.option("--seconds", type=FiniteRange(0.1, 36_000), default=20.0, show_default=True,
+@click.option("--seconds", type=flags.FiniteRange(0.1, 36_000), default=20.0, show_default=True,
               help="Length of the film.")
-@click.option("--fps", type=FiniteRange(1, 240), default=30.0, show_default=True,
+@click.option("--fps", type=flags.FiniteRange(1, 240), default=30.0, show_default=True,
               help="Frames a second.")
-@click.option("--size", type=Parsed("WIDTHxHEIGHT", _size), default="1280x720", show_default=True,
-              help="Pixels of a frame.")
-@click.option("--fov", type=FiniteRange(1, 170), help="Horizontal angle of view, degrees. Default: "
-              "that of the photos or of the camera path.")
-@everything_flag
+@click.option("--size", type=flags.Parsed("WIDTHxHEIGHT", _size), default="1280x720",
+              show_default=True, help="Pixels of a frame.")
+@click.option("--fov", type=flags.FiniteRange(1, 170), help="Horizontal angle of view, degrees. "
+              "Default: that of the photos or of the camera path.")
+@flags.everything_flag
 @click.option("--overwrite", is_flag=True, help="Replace an existing film.")
-@host_memory_flag
-@moved_scene_flag
-@device_flag
+@flags.host_memory_flag
+@flags.moved_scene_flag
+@flags.device_flag
 def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: tuple[int, int],
          fov: float | None, everything: bool, overwrite: bool, host_memory: int | None,
          scene: Path | None, device: str) -> None:
@@ -76,11 +67,11 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
         raise InputError(f"--size {size[0]}x{size[1]}: a film needs even numbers; give such, or a "
                          "folder for PNG files")
     if as_film or films.frames_in(output):
-        check_free(output, overwrite)
+        flags.check_free(output, overwrite)
     if as_film:
         films.check_codec()
     opened = Run.open(run)
-    most = host_bytes(host_memory, run)
+    most = flags.host_bytes(host_memory, run)
     data = opened.scene(scene).with_up(opened.up)
     count = max(1, round(seconds * fps))
     times = np.linspace(0, 1, count)

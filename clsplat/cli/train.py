@@ -13,15 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsplat.cli import STARTED
-from clsplat.cli.flags import (
-    FiniteRange,
-    SectionedOption,
-    TrainingCommand,
-    config_options,
-    given_options,
-    training_flags,
-)
+from clsplat.cli import STARTED, flags
 from clsplat.cli.sfm import trained_scene
 from clsplat.config.option import differences, flag_name
 from clsplat.errors import InputError
@@ -32,16 +24,16 @@ if TYPE_CHECKING:
 
 LEAST_SHOWN = 0.05  # seconds
 LOG_LEVELS = ("debug", "info", "warning", "error")
-FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
+FOLDER: dict[str, Any] = {"cls": flags.SectionedOption, "section": "Run folder"}
 
 
-@click.command(cls=TrainingCommand, short_help="Train gaussians on photos, or on a scene.")
+@click.command(cls=flags.TrainingCommand, short_help="Train gaussians on photos, or on a scene.")
 @click.argument("scene", type=click.Path(path_type=Path), required=False)
-@training_flags
+@flags.training_flags
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), **FOLDER,
               help="Folder of the run: options, metrics, checkpoints, point_cloud.ply.")
-@click.option("--up", nargs=3, type=FiniteRange(), **FOLDER, help="X Y Z: the direction in the "
-              "scene that points up; default: that of the scene's files, or estimated from the "
+@click.option("--up", nargs=3, type=flags.FiniteRange(), **FOLDER, help="X Y Z: the direction in "
+              "the scene that points up; default: that of the scene's files, or estimated from the "
               "cameras and points.")
 @click.option("--resume", is_flag=True, **FOLDER,
               help="Continue from the run's last checkpoint, with its options; SCENE is needed "
@@ -74,16 +66,16 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path,
         if resume and ctx.params[name]:
             raise InputError(f"{flag_name(name)}: cannot be used with --resume, which continues "
                              "the run as it was; leave one of them out")
-    flags = given_options(ctx)
-    values = config_options(ctx)
+    given = flags.given_options(ctx)
+    values = flags.config_options(ctx)
     if scene is None and not resume:
         raise click.MissingParameter(ctx=ctx, param=ctx.command.params[0])
-    options = None if resume or schedules else resolve(values, flags)
+    options = None if resume or schedules else resolve(values, given)
     opened = _opened(options) if options else None
     if scene is not None:
         scene = trained_scene(scene, output, quiet, None if options is None else overwrite)
     if schedules:
-        if resume or overwrite or "schedule" in flags:
+        if resume or overwrite or "schedule" in given:
             raise InputError("--schedules: resumes runs by itself and names the schedules; leave "
                              "out --resume, --overwrite and --schedule")
         if view:
@@ -91,11 +83,11 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path,
                              "each run with `clsplat view`")
         from clsplat.cli.campaign import combinations, run_campaign
         run_campaign(lambda folder, options: _train(scene, folder, options, {}, True, quiet, up),
-                     combinations(values, flags, schedules, seeds), output)
+                     combinations(values, given, schedules, seeds), output)
         return
     if seeds != 1:
         raise InputError("--seeds: needs --schedules; for one run, use --seed")
-    spent = _train(scene, output, options, flags, overwrite, quiet, up, view, opened)
+    spent = _train(scene, output, options, given, overwrite, quiet, up, view, opened)
     if not quiet:
         click.echo("\n".join([*ending(output), time_line(spent)]))
 
@@ -120,10 +112,10 @@ def ending(output: Path) -> list[str]:
             f"send:    clsplat export {folder} -o {page_file}"]
 
 
-def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags: dict[str, Any],
+def _train(scene: Path | None, output: Path, options: TrainOptions | None, given: dict[str, Any],
            overwrite: bool, quiet: bool, up: tuple[float, float, float] | None = None,
            view: bool = False, opened: Future[Device] | None = None) -> dict[str, float]:
-    """Train one run; without options, continue from its checkpoint with `flags`. Returns what the
+    """Train one run; without options, continue from its checkpoint with `given`. Returns what the
     seconds were spent for, see `SilentProgress.spent`. `opened` is the device of the options."""
     from clsplat.cli.progress import Progress
     from clsplat.cli.view import announce
@@ -132,7 +124,7 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags
     resumes = options is None
     run = RunFolder.open(output) if resumes else RunFolder(output)
     if options is None:
-        options, scene = resumed_options(run.read_options(), flags), run.scene_path(scene)
+        options, scene = resumed_options(run.read_options(), given), run.scene_path(scene)
     assert scene is not None  # only a run that resumes is given none
     opened = opened or _opened(options)
     from clsplat.io.scenes.read import read_scene
@@ -172,13 +164,13 @@ def _opened(options: RunOptions) -> Future[Device]:
     return opened
 
 
-def resumed_options(record: dict[str, Any], flags: dict[str, Any]) -> TrainOptions:
-    """The options of a resumed run, from its record and the flags that may change them.
+def resumed_options(record: dict[str, Any], given: dict[str, Any]) -> TrainOptions:
+    """The options of a resumed run: those of its record, with the `given` ones.
 
     --stop-at of the first part does not stop the second. InputError for flags that may not change.
     """
     options = recorded(record)
-    changed = dataclasses.replace(options, **{"stop_at": RunOptions.stop_at, **flags})
+    changed = dataclasses.replace(options, **{"stop_at": RunOptions.stop_at, **given})
     for name, old, _ in differences(dataclasses.asdict(options), changed):
         raise InputError(f"{flag_name(name)}: cannot change at --resume, the run has {old!r}; "
                          "leave it out, or start a new run")

@@ -7,13 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import (
-    EXPOSURE_BLOCK,
-    FRAME_COUNTS,
-    TRANSFORM_REALS,
-    VIGNETTING_REALS,
-    VIGNETTING_TERMS,
-)
+from clsplat import constants
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
 from clsplat.rendering.blend import RESPONSE, Defines, Exposure, response_defines
 from clsplat.response import Lenses, Response
@@ -23,16 +17,16 @@ LEARNED = ("transforms", "m", "v", "steps")
 LEARNED_VIGNETTING = ("lenses", "lens_m", "lens_v", "lens_steps")
 MAX_CONDITION = 1e3  # of a matrix that may be inverted
 
-_ROWS, _IMAGE = ("real", "V", TRANSFORM_REALS), ("real", 3, "H", "W")
-_LENS_ROWS = "real", "L", VIGNETTING_TERMS
-_LENSES = dict(lens_of=("uint", "V"), lenses=("real", "L", VIGNETTING_REALS))
+_ROWS, _IMAGE = ("real", "V", constants.TRANSFORM_REALS), ("real", 3, "H", "W")
+_LENS_ROWS = "real", "L", constants.VIGNETTING_TERMS
+_LENSES = dict(lens_of=("uint", "V"), lenses=("real", "L", constants.VIGNETTING_REALS))
 ADJOINT = Kernel(
     "exposure.cl", "exposure_adjoint",
     Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), pixels="uint", width="uint",
     blocks="uint", **RESPONSE, image=_IMAGE, grad=_IMAGE, grad_image=_IMAGE,
     partials=("real", "P", "S"))
 STEP = Kernel("exposure.cl", "exposure_step", groups("1", "16"), view="uint", rate="real",
-              pull="real", counts=("uint", FRAME_COUNTS), partials=("real", "P", "S"),
+              pull="real", counts=("uint", constants.FRAME_COUNTS), partials=("real", "P", "S"),
               blocks="uint", transforms=_ROWS, m=_ROWS, v=_ROWS, steps=("uint", "V"), **_LENSES,
               lens_m=_LENS_ROWS, lens_v=_LENS_ROWS, lens_steps=("uint", "L"),
               skipped=("uint", 1))
@@ -66,20 +60,21 @@ class Exposures:
                  lenses: Lenses | None = None) -> None:
         self.device, self.rate, self.pull, self.learns = device, rate, pull, learns
         self._recentred = np.tile(IDENTITY, (views, 1, 1)) if initial is None else initial
-        self._mean = self._recentred.reshape(views, TRANSFORM_REALS).mean(axis=0)
+        self._mean = self._recentred.reshape(views, constants.TRANSFORM_REALS).mean(axis=0)
         self.has_vignetting = lenses is not None
         self.transforms, self.m, self.v = (
-            device.zeros((views, TRANSFORM_REALS)) for _ in range(3))
+            device.zeros((views, constants.TRANSFORM_REALS)) for _ in range(3))
         # without lenses a token stands for them
         count = len(lenses.rows) if lenses else 1
-        self.lenses = device.zeros((count, VIGNETTING_REALS))
-        self.lens_m, self.lens_v = (device.zeros((count, VIGNETTING_TERMS)) for _ in range(2))
+        self.lenses = device.zeros((count, constants.VIGNETTING_REALS))
+        self.lens_m, self.lens_v = (
+            device.zeros((count, constants.VIGNETTING_TERMS)) for _ in range(2))
         self.steps, self.lens_of, self.lens_steps, self.skipped = (
             device.zeros(number, np.uint32) for number in (views, views, count, 1))
         if lenses:
             self.lens_of.write(lenses.of)
             self.lenses.write(lenses.rows)
-        self.transforms.write(self._recentred.reshape(views, TRANSFORM_REALS))
+        self.transforms.write(self._recentred.reshape(views, constants.TRANSFORM_REALS))
 
     def of(self, view: int, camera: Array) -> Exposure:
         """The response of a view, for `Renderer.render`; `camera` is its packed camera."""
@@ -94,8 +89,8 @@ class Exposures:
         transform and by the vignetting of its lens.
         """
         device, (_, height, width) = self.device, image.shape
-        blocks = -(-width * height // EXPOSURE_BLOCK)
-        sums = TRANSFORM_REALS + VIGNETTING_TERMS * self.has_vignetting
+        blocks = -(-width * height // constants.EXPOSURE_BLOCK)
+        sums = constants.TRANSFORM_REALS + constants.VIGNETTING_TERMS * self.has_vignetting
         partials = device.empty((blocks, sums))
         grad_image = device.empty(image.shape)
         device.launch(ADJOINT, self._defines, pixels=width * height, width=width, blocks=blocks,
@@ -157,7 +152,7 @@ class Exposures:
             if np.linalg.cond(source[:, :3]) < MAX_CONDITION:
                 matrix = to[:, :3] @ np.linalg.inv(source[:, :3])
                 maps[row] = np.column_stack([matrix, to[:, 3] - matrix @ source[:, 3]])
-        return self.device.upload(maps.reshape(-1, TRANSFORM_REALS))
+        return self.device.upload(maps.reshape(-1, constants.TRANSFORM_REALS))
 
     def download(self) -> dict[str, NDArray[Any]]:
         """All that was learned, host arrays by name, for `upload`."""

@@ -7,14 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import (
-    ADAM_EPSILON,
-    CATCH_UP_EVERY,
-    LAZY_TERMS,
-    NO_ROW,
-    ONE_MINUS_BETA1,
-    ONE_MINUS_BETA2,
-)
+from clsplat import constants
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
@@ -57,7 +50,7 @@ class NumpyAdam:
               degree: int, frozen: Array | None = None) -> None:
         """As `DeviceAdam.apply`, but waits, and moves all rows whose `frozen` is 0."""
         seen = gradients.rows.download()
-        usable = seen != NO_ROW
+        usable = seen != constants.NO_ROW
         stays = np.zeros(len(rows["positions"]), bool) if frozen is None else frozen.download() > 0
         stays[gradients.visible.download()[~usable]] = True
         moved, (first, second) = ~stays, corrections(int(numbers["now"]))
@@ -71,10 +64,10 @@ class NumpyAdam:
             parameter, slope, m, v = (each.reshape(len(values), -1)[:, columns] for each in (
                 values, gradient, self.m[name], self.v[name]))
             slope, one = slope[moved], values.dtype.type  # Kingma & Ba 2015
-            m[moved] += one(ONE_MINUS_BETA1) * (slope - m[moved])
-            v[moved] += one(ONE_MINUS_BETA2) * (slope * slope - v[moved])
+            m[moved] += one(constants.ONE_MINUS_BETA1) * (slope - m[moved])
+            v[moved] += one(constants.ONE_MINUS_BETA2) * (slope * slope - v[moved])
             parameter[moved] -= (one(numbers[f"rate_{name}"] * first) * m[moved]
-                                 / (np.sqrt(v[moved]) * one(second) + one(ADAM_EPSILON)))
+                                 / (np.sqrt(v[moved]) * one(second) + one(constants.ADAM_EPSILON)))
             rows[name].write(values)
 
     def catch_up(self, rows: Mapping[str, Array], frozen: Array | None = None) -> None:
@@ -111,7 +104,8 @@ class NumpyAdam:
     def lag(self) -> dict[str, NDArray[Any]]:
         """As `DeviceAdam.lag`."""
         return {"last_step": np.full(len(self.m["positions"]), self.steps, np.uint32),
-                "coefficients": np.zeros((CATCH_UP_EVERY, LAZY_TERMS), self.device.real),
+                "coefficients": np.zeros((constants.CATCH_UP_EVERY, constants.LAZY_TERMS),
+                                         self.device.real),
                 "is_current": np.ones(1, np.uint8)}
 
     def load_lag(self, arrays: Mapping[str, NDArray[Any]], step: int) -> None:

@@ -6,12 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import (
-    COUNT_NEEDED_PAIRS,
-    COUNT_PAIRS,
-    FRAME_COUNTS,
-    SPLAT_REALS,
-)
+from clsplat import constants
 from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
 from clsplat.errors import DeviceError
 from clsplat.primitives.sort import parts_of
@@ -22,8 +17,8 @@ HAS_BUCKETS = Forms(item=False, group=True)  # whether the blend adjoint runs ov
 NEEDS_ORDER = Forms(item=True, group=False)  # whether pairs are emitted front to back
 
 _BAND = dict(tiles_x="int", first_tile="int", end_tile="int")
-_COUNTS = dict(counts=("uint", FRAME_COUNTS))
-_SPLATS = dict(splats=("real", "V", SPLAT_REALS))
+_COUNTS = dict(counts=("uint", constants.FRAME_COUNTS))
+_SPLATS = dict(splats=("real", "V", constants.SPLAT_REALS))
 _RANGES = dict(ranges=("uint", "T", 2))
 _PARTS: dict[str, Any] = dict(parts="uint", table=("uint", "C", "T"), totals=("uint", "C"))
 _ORDERED: dict[str, Any] = dict(order=("uint", "V"), **_PARTS)
@@ -176,7 +171,7 @@ def _launch(device: Device, kernel: Kernel, **values: Any) -> None:
 def _number_of_pairs(counts: Array, before: Array, limit: int, width: int, height: int) -> int:
     """The number of pairs; waits. TooManyPairs above the limit, and `counts` is as `before`."""
     read = counts.download()
-    needed = int(max(read[COUNT_PAIRS], read[COUNT_NEEDED_PAIRS]))
+    needed = int(max(read[constants.COUNT_PAIRS], read[constants.COUNT_NEEDED_PAIRS]))
     if needed > limit:
         counts.write(before.download())
         raise TooManyPairs(f"{needed} pairs of tile and splat in one {width} x {height} image, "

@@ -7,14 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import (
-    CAMERA_REALS,
-    FRAME_COUNTS,
-    SHAPE_SUMS,
-    SPLAT_REALS,
-    TRANSFORM_REALS,
-    VIGNETTING_REALS,
-)
+from clsplat import constants
 from clsplat.device import Array, Device, Forms, Kernel, Only, groups, items
 from clsplat.errors import DeviceError
 from clsplat.rendering.bin import HAS_BUCKETS, PAIR_LIMIT, Pairs, tile_grid
@@ -28,7 +21,7 @@ Defines = tuple[tuple[str, int], ...]  # names and values of the build-time choi
 _SIZE: dict[str, Any] = dict(width="int", height="int", first_tile="int")
 _LISTS: dict[str, Any] = dict(ranges=("uint", "T", 2), sorted_splats=("uint", "P"))
 _SPLATS: dict[str, Any] = dict(
-    splats=("real", "V", SPLAT_REALS), visible=Only("WITH_FEATURES", ("uint", "V")),
+    splats=("real", "V", constants.SPLAT_REALS), visible=Only("WITH_FEATURES", ("uint", "V")),
     features=Only("WITH_FEATURES", ("real", "N", "C")))
 _ENDS: dict[str, Any] = dict(transmittance=("real", "H", "W"), last_contributor=("int", "H", "W"))
 _IMAGE: dict[str, Any] = dict(image=("real", "C", "H", "W"))
@@ -37,10 +30,10 @@ _DEPTH, _DEPTHS = (Only("WITH_DEPTH", ("real", *shape)) for shape in (("H", "W")
 # the response of a view: of kernels that include respond.h
 RESPONSE: dict[str, Any] = dict(
     view=Only("WITH_RESPONSE", "uint"),
-    transforms=Only("WITH_RESPONSE", ("real", "U", TRANSFORM_REALS)),
-    camera=Only("WITH_VIGNETTING", ("real", CAMERA_REALS)),
+    transforms=Only("WITH_RESPONSE", ("real", "U", constants.TRANSFORM_REALS)),
+    camera=Only("WITH_VIGNETTING", ("real", constants.CAMERA_REALS)),
     lens_of=Only("WITH_VIGNETTING", ("uint", "U")),
-    lenses=Only("WITH_VIGNETTING", ("real", "L", VIGNETTING_REALS)))
+    lenses=Only("WITH_VIGNETTING", ("real", "L", constants.VIGNETTING_REALS)))
 
 BLEND = Kernel(
     "blend.cl", "blend",
@@ -52,7 +45,7 @@ BLEND = Kernel(
 ADJOINT = Kernel(
     "blend.cl", "blend_adjoint",
     Forms(item=items("T", **_BACKGROUND),
-          group=groups("B", "ADJOINT_GROUP", counts=("uint", FRAME_COUNTS),
+          group=groups("B", "ADJOINT_GROUP", counts=("uint", constants.FRAME_COUNTS),
                        bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"), **_IMAGE,
                        checkpoints=("real", "B", "X", "K"), depth=_DEPTH,
                        depth_checkpoints=_DEPTHS)),
@@ -144,7 +137,7 @@ class SplatGrads:
 
 def pair_columns(channels: int, with_depth: bool) -> int:
     """The numbers that the adjoint leaves of a pair of a tile and a splat (cl/include/splat.h)."""
-    return SHAPE_SUMS + max(channels, 2) + with_depth
+    return constants.SHAPE_SUMS + max(channels, 2) + with_depth
 
 
 def blend_defines(with_depth: bool, smooth_cutoff: bool = False, depth_percent: int = 0

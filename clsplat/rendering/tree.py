@@ -17,16 +17,9 @@ from clsplat.camera import Camera
 from clsplat.constants import SPLAT_REALS
 from clsplat.device import Array, Device
 from clsplat.io.models.tree import FIELDS, ORDER, Tree
+from clsplat.rendering import slabs
 from clsplat.rendering.pipeline import Frame, Renderer
 from clsplat.rendering.project import LOW_PASS
-from clsplat.rendering.slabs import (
-    INDICES,
-    PART_ROWS,
-    SlabFrame,
-    SlabRenderer,
-    boxes_seen,
-    gaussian_limit,
-)
 
 # pixels that the mean sigma of a node may cover, by whether the renderer is antialiased (measured:
 # up to there no view loses more than 0.2 dB). Levels that were trained may cover more
@@ -53,7 +46,7 @@ def choose(tree: Tree, camera: Camera, pixels: float, near: float, low_pass: flo
     low_pass : as for `pipeline.Renderer`.
     """
     nodes = tree.nodes
-    seen = boxes_seen(nodes["low"], nodes["high"], nodes["largest"], camera, near, low_pass)
+    seen = slabs.boxes_seen(nodes["low"], nodes["high"], nodes["largest"], camera, near, low_pass)
     nearest = np.clip(camera.position, nodes["usual_low"], nodes["usual_high"])
     distance = np.linalg.norm(nearest - camera.position, axis=1)
     is_enough = tree.is_leaf | (max(camera.focal) * nodes["sigma"] <= pixels * distance)
@@ -76,8 +69,8 @@ class NodeParts:
 
     def seen(self, _camera: Camera, _near: float, _low_pass: float = LOW_PASS) -> list[slice]:
         """Slices of all rows: the nodes were chosen for the camera."""
-        return [slice(begin, min(begin + PART_ROWS, self.count))
-                for begin in range(0, self.count, PART_ROWS)]
+        return [slice(begin, min(begin + slabs.PART_ROWS, self.count))
+                for begin in range(0, self.count, slabs.PART_ROWS)]
 
     def read(self, name: str, rows: slice | NDArray[np.int64]) -> NDArray[np.float32]:
         """float32[M, *row shape]: a field of these rows."""
@@ -112,11 +105,11 @@ class TreeRenderer:
         self.device, self.near = device, near
         self._pixels = MOST_SIGMA_PIXELS[antialiased]
         self._limit = limit or max(1, min(
-            gaussian_limit(device, tree.sh_degree),
+            slabs.gaussian_limit(device, tree.sh_degree),
             int(AT_A_TIME * host_bytes / _drawn_bytes(device, tree.sh_degree))))
         settings = device, tree.sh_degree, near, antialiased, background
         self._renderer = Renderer(*settings)
-        self._slabs = SlabRenderer(*settings, self._limit)
+        self._slabs = slabs.SlabRenderer(*settings, self._limit)
         self._chosen: NDArray[np.intp] = np.empty(0, np.intp)  # of what is on the device
         self._rows: dict[str, Array] = {}
 
@@ -125,7 +118,7 @@ class TreeRenderer:
         return camera
 
     def render(self, tree: Tree, camera: Camera, width: int, height: int, sh_degree: int,
-               with_depth: bool = False, depth_percent: int = 0) -> Frame | SlabFrame:
+               with_depth: bool = False, depth_percent: int = 0) -> Frame | slabs.SlabFrame:
         """Render a tree; arguments as for `pipeline.Renderer.render`."""
         chosen = choose(tree, camera, self._pixels, self.near, self._renderer.low_pass)
         parts = NodeParts(tree, chosen)
@@ -145,5 +138,5 @@ class TreeRenderer:
 def _drawn_bytes(device: Device, sh_degree: int) -> int:
     """Bytes of host memory that a gaussian takes while it is drawn."""
     widths = [field.width(sh_degree) for field in FIELDS.values()]
-    on_device = 4 * (sum(widths) + SPLAT_REALS + INDICES) + PAIR_BYTES
+    on_device = 4 * (sum(widths) + SPLAT_REALS + slabs.INDICES) + PAIR_BYTES
     return 4 * max(widths) + GATHER_BYTES + on_device * device.is_cpu  # one field on its way there

@@ -9,24 +9,14 @@ from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
 from clsplat.io.records import write_object
 from clsplat.io.runs.origin import origin
+from clsplat.report import scores
 from clsplat.report.charts import comparison_chart, drawn
 from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, title, warnings
 from clsplat.report.page import Table, as_utf8, folded, page, warning
-from clsplat.report.scores import (
-    COLUMNS,
-    GAUSSIANS,
-    PERCEPTUAL,
-    Curve,
-    Record,
-    curve,
-    reached,
-    spread,
-    value_at,
-)
 
 # of each run: key, title, format
-SCORES = (*COLUMNS[2:], *PERCEPTUAL)
-COSTS = COLUMNS[1], GAUSSIANS, ("pixel_pairs", "pairs", ".3g")
+SCORES = (*scores.COLUMNS[2:], *scores.PERCEPTUAL)
+COSTS = scores.COLUMNS[1], scores.GAUSSIANS, ("pixel_pairs", "pairs", ".3g")
 SPREAD = ("train_seconds", "psnr_cc", "ssim_cc", "flip_cc", "lpips_cc")  # shown with deviation
 EQUAL = "psnr_cc_at_equal_seconds"
 NO_CURVE = ("No curve: no run has more than one evaluation. Train with --eval-every STEPS, an "
@@ -106,7 +96,7 @@ def compare(groups: Mapping[str, Sequence[Trained]], levels: Sequence[float] = (
     compared = []
     for name, group in groups.items():
         rows = [_numbers(run, levels, shortest) for run in group]
-        means = {key: spread([row[key] for row in rows])
+        means = {key: scores.spread([row[key] for row in rows])
                  for key in (*(key for key, _, _ in (*COSTS, *SCORES)), EQUAL)}
         compared.append({
             "name": name, "options": {key: group[0].options.get(key) for key in different},
@@ -122,29 +112,29 @@ def compare(groups: Mapping[str, Sequence[Trained]], levels: Sequence[float] = (
             "different": different, "groups": compared}
 
 
-def _psnr(run: Trained) -> Curve:
-    return curve(run.records, "train_seconds", "psnr_cc", "eval")
+def _psnr(run: Trained) -> scores.Curve:
+    return scores.curve(run.records, "train_seconds", "psnr_cc", "eval")
 
 
 def _numbers(run: Trained, levels: Sequence[float], shortest: float | None) -> dict[str, Any]:
     """One run's part of compare.json."""
     line = _psnr(run)
-    crossings = [reached(line, level) or (None, False) for level in levels]
+    crossings = [scores.reached(line, level) or (None, False) for level in levels]
     return {"folder": run.name, "seed": run.options.get("seed"), "finished": run.finished,
             **{key: _last(run.records, key, None) for key, _, _ in COSTS},
             **{key: _last(run.records, key, "eval") for key, _, _ in SCORES},
-            EQUAL: None if shortest is None else value_at(line, shortest),
+            EQUAL: None if shortest is None else scores.value_at(line, shortest),
             "best_psnr_cc": float(max(line[1])) if len(line[1]) else None,
             "reached": [{"psnr_cc": level, "seconds": seconds, "upper_bound": bound}
                         for level, (seconds, bound) in zip(levels, crossings)]}
 
 
-def _last(records: Sequence[Record], key: str, event: str | None) -> Any:
+def _last(records: Sequence[scores.Record], key: str, event: str | None) -> Any:
     return next((record[key] for record in reversed(records)
                  if record.get(key) is not None and event in (None, record.get("event"))), None)
 
 
-def levels_from(groups: Iterable[Sequence[Curve]]) -> list[float]:
+def levels_from(groups: Iterable[Sequence[scores.Curve]]) -> list[float]:
     """Up to three PSNR levels, dB, from the curves of each group's runs.
 
     They are the highest that all runs reach, the highest that a whole group reaches, and one below.
@@ -202,7 +192,7 @@ def different_table(groups: Mapping[str, Sequence[Trained]]) -> Table:
 def _of_all(values: Sequence[float | None], form: str, bound: str = "") -> str:
     """The mean and deviation if all runs of a group have a value, else how many have."""
     count = sum(value is not None for value in values)
-    return (bound + _with_spread(*spread(values), form) if count == len(values)
+    return (bound + _with_spread(*scores.spread(values), form) if count == len(values)
             else f"{count} of {len(values)} runs")
 
 

@@ -30,13 +30,7 @@ from clsplat.io.scenes.colmap import write_reconstruction
 from clsplat.io.scenes.colmap_files import CAMERA_MODELS
 from clsplat.io.scenes.sources import IMAGES
 from clsplat.placement.plausible import NotGeoreferenced
-from clsplat.sfm.features import (
-    create_database,
-    extract_features,
-    image_id,
-    match_pairs,
-    partners,
-)
+from clsplat.sfm import features
 from clsplat.sfm.mapping import map_photos
 from clsplat.sfm.pairs import choose_pairs
 from clsplat.sfm.photos import (
@@ -168,11 +162,11 @@ def _match(database: Path, photos: Sequence[SourcePhoto], cameras: Sequence[Sour
     """Fill the database; why photos cannot be used, by name, and which pairs were matched."""
     try:
         if not database.exists():
-            create_database(database, cameras)
-        damaged = extract_features(database, photos, progress)
+            features.create_database(database, cameras)
+        damaged = features.extract_features(database, photos, progress)
         pairs, why = choose_pairs(database, photos, method, progress)
         progress.message(f"matching {why}")
-        match_pairs(database, pairs, progress)
+        features.match_pairs(database, pairs, progress)
     except RuntimeError as error:  # of SQLite in pycolmap, which gives no other reason
         raise InputError(f"{database}: cannot be written or read ({reason(error)}); check that "
                          "the disk has space, and give the command again") from error
@@ -279,7 +273,7 @@ class Unfinished:
     def keep(self, model: pycolmap.Reconstruction, photos: Sequence[SourcePhoto]) -> None:
         """Keep a reconstruction, whose images get the names of their photos."""
         for image in model.images.values():
-            image.name = photos[image.image_id - image_id(0)].name
+            image.name = photos[image.image_id - features.image_id(0)].name
         partial = self._model.with_suffix(".part")
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir()
@@ -337,9 +331,9 @@ def _facts(model: pycolmap.Reconstruction, cameras: Sequence[SourceCamera], plac
 def reasons(database: Path, photos: Sequence[SourcePhoto], others: Container[str]
             ) -> dict[str, str]:
     """Why photos, except `others`, were not registered, by name."""
-    matches, result = partners(database), {}
+    matches, result = features.partners(database), {}
     with pycolmap.Database.open(database) as source:
-        for number, photo in enumerate(photos, image_id(0)):
+        for number, photo in enumerate(photos, features.image_id(0)):
             if photo.name not in others:
                 found = source.num_keypoints_for_image(number)
                 result[photo.name] = (

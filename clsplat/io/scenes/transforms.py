@@ -18,18 +18,7 @@ from clsplat.io.photos.images import image_size
 from clsplat.io.photos.lenses import PANORAMA
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
-from clsplat.io.scenes.posed import (
-    BROWN,
-    COEFFICIENTS,
-    FISHEYE,
-    FLIPPED,
-    Cloud,
-    Optics,
-    PosedPhoto,
-    optics,
-    posed_scene,
-    read_cloud,
-)
+from clsplat.io.scenes import posed
 from clsplat.scene import Scene
 
 ALL, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
@@ -39,8 +28,8 @@ DIVIDES = {"k4": "d1", "k5": "d2", "k6": "d3"}
 MODEL = ("camera_model", "is_fisheye")
 FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
 # camera_model -> models of COLMAP
-MODELS = {FISHEYE[0]: FISHEYE, **dict.fromkeys(
-    ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"), BROWN)}
+MODELS = {posed.FISHEYE[0]: posed.FISHEYE, **dict.fromkeys(
+    ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"), posed.BROWN)}
 
 
 def find_transforms(path: Path) -> Path | None:
@@ -65,10 +54,10 @@ def read_transforms(path: Path, images: str = "") -> Scene:
     if path.name == TRAIN and test.exists():
         with reading(test, "a transforms.json"):
             photos += _posed_photos(test, True)[1]
-    return posed_scene(path, path.parent, photos, cloud)
+    return posed.posed_scene(path, path.parent, photos, cloud)
 
 
-def _posed_photos(path: Path, held_out: bool) -> tuple[dict[str, Any], list[PosedPhoto]]:
+def _posed_photos(path: Path, held_out: bool) -> tuple[dict[str, Any], list[posed.PosedPhoto]]:
     """The table of a file, and the photos of its frames."""
     table, photos = object_of(read_regular(path)), []
     if not isinstance(table.get("frames"), list) or not table["frames"]:
@@ -96,11 +85,11 @@ def _own(table: Mapping[str, Any], frame: Mapping[str, Any]) -> dict[str, Any]:
     if own & {*FOCAL_Y} or own & {*FOCAL_X} and table.keys() & {*FOCAL_X}:
         replaced |= {*FOCAL_Y}
     if own & {*MODEL}:
-        replaced |= {*MODEL, *COEFFICIENTS}
+        replaced |= {*MODEL, *posed.COEFFICIENTS}
     return {**{key: value for key, value in table.items() if key not in replaced}, **frame}
 
 
-def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> PosedPhoto:
+def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> posed.PosedPhoto:
     """The photo of a frame, which includes the keys that the file gives for all frames."""
     pose = _matrix(frame, "transform_matrix")
     name, source = _photo(folder, frame.get("file_path"))
@@ -112,9 +101,9 @@ def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> Pose
     focal_y = _focal(frame, *FOCAL_Y, size[1], focal_x)
     centre = (_number(frame, "cx", size[0] / 2), _number(frame, "cy", size[1] / 2))
     mask = frame.get("mask_path")
-    return PosedPhoto(name, source, _optics(frame, size, (focal_x, focal_y), centre),
-                      (pose[:, :3] * FLIPPED).T, pose[:, 3], held_out,
-                      None if mask is None else folder / text(mask, "mask_path"))
+    return posed.PosedPhoto(name, source, _optics(frame, size, (focal_x, focal_y), centre),
+                            (pose[:, :3] * posed.FLIPPED).T, pose[:, 3], held_out,
+                            None if mask is None else folder / text(mask, "mask_path"))
 
 
 def _matrix(table: Mapping[str, Any], key: str) -> NDArray[np.float64]:
@@ -137,18 +126,18 @@ def _photo(folder: Path, file_path: object) -> tuple[str, Path]:
 
 
 def _optics(frame: Mapping[str, Any], size: tuple[int, int], focal: tuple[float, float],
-            centre: tuple[float, float]) -> Optics:
+            centre: tuple[float, float]) -> posed.Optics:
     if "ftheta_p0" in frame:
         raise ValueError("the lens F-theta is not read; export with OPENCV_FISHEYE")
-    name = FISHEYE[0] if frame.get("is_fisheye") else frame.get("camera_model") or "OPENCV"
+    name = posed.FISHEYE[0] if frame.get("is_fisheye") else frame.get("camera_model") or "OPENCV"
     if name == PANORAMA:
-        return Optics(size, focal, centre, (PANORAMA, tuple(map(float, size))))
+        return posed.Optics(size, focal, centre, (PANORAMA, tuple(map(float, size))))
     if not isinstance(name, str) or name not in MODELS:
         raise ValueError(f"camera_model is {str(name)[:40]!r}, not {', '.join(MODELS)} "
                          f"or {PANORAMA}")
     divides = DIVIDES if name == "FULL_OPENCV" else {}
-    return optics(size, focal, centre, MODELS[name], {
-        divides.get(key, key): _number(frame, key, 0) for key in COEFFICIENTS})
+    return posed.optics(size, focal, centre, MODELS[name], {
+        divides.get(key, key): _number(frame, key, 0) for key in posed.COEFFICIENTS})
 
 
 def _focal(frame: Mapping[str, Any], key: str, angle_key: str, side: int,
@@ -172,11 +161,11 @@ def _number(frame: Mapping[str, Any], key: str, default: float | None = None) ->
     return number(frame.get(key, default), key)
 
 
-def _cloud(folder: Path, table: Mapping[str, Any]) -> Cloud | None:
+def _cloud(folder: Path, table: Mapping[str, Any]) -> posed.Cloud | None:
     """The points and colours of `read_cloud`, in the coordinates of the poses."""
     file_path = table.get("ply_file_path")
     ply = None if file_path is None else folder / text(file_path, "ply_file_path")
     # nerfstudio applies this to COLMAP's world before it writes poses and PLY
     transform = (_matrix(table, "applied_transform") if "applied_transform" in table
                  else np.eye(3, 4)) * _number(table, "applied_scale", 1)
-    return read_cloud(folder, ply, transform)
+    return posed.read_cloud(folder, ply, transform)

@@ -22,15 +22,7 @@ from clsplat.io.fields import number, numbers, pixels, reading, table, tables
 from clsplat.io.photos.images import image_size
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
-from clsplat.io.scenes.posed import (
-    BROWN,
-    COEFFICIENTS,
-    FISHEYE,
-    Cloud,
-    Optics,
-    PosedPhoto,
-    optics,
-)
+from clsplat.io.scenes import posed
 from clsplat.io.scenes.projects.scene import OnEarth, PhotoFiles, project_scene, topocentric
 from clsplat.scene import Scene
 
@@ -40,8 +32,8 @@ ODM = "opensfm"  # the folder in a project of ODM
 REFERENCE, TRACKS, MOVED = "reference_lla.json", "tracks.csv", "exported_geocoords.txt"
 COORDINATES = ("latitude", "longitude", "altitude")
 # projection_type -> models of COLMAP
-MODELS = {"perspective": BROWN, "simple_radial": BROWN, "radial": BROWN, "brown": BROWN,
-          "fisheye": FISHEYE, "fisheye_opencv": FISHEYE}
+MODELS = {**dict.fromkeys(("perspective", "simple_radial", "radial", "brown"), posed.BROWN),
+          **dict.fromkeys(("fisheye", "fisheye_opencv"), posed.FISHEYE)}
 ASPECT = 2e-3  # relative tolerance of the ratio of a photo's sides: they may be rounded
 
 
@@ -90,17 +82,17 @@ def _largest(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
                              f"with {counts[largest]} of {sum(counts)} photos, is used",)
 
 
-def _photo(shot: Any, cameras: Mapping[str, Any], name: str, source: Path) -> PosedPhoto:
+def _photo(shot: Any, cameras: Mapping[str, Any], name: str, source: Path) -> posed.PosedPhoto:
     shot = table(shot, f"shot {name[:80]}")
     camera = table(cameras.get(str(shot.get("camera"))), f"the camera of shot {name[:80]}")
     rotation = scipy.spatial.transform.Rotation.from_rotvec(
         numbers(shot.get("rotation"), 3, f"the rotation of {name[:80]}")).as_matrix()
     translation = numbers(shot.get("translation"), 3, f"the translation of {name[:80]}")
-    return PosedPhoto(name, source, _optics(camera, image_size(source)), rotation,
-                        -rotation.T @ translation)
+    return posed.PosedPhoto(name, source, _optics(camera, image_size(source)), rotation,
+                            -rotation.T @ translation)
 
 
-def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> Optics:
+def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> posed.Optics:
     """The camera model of a photo of this size (width, height)."""
     size = pixels(camera.get("width"), "width"), pixels(camera.get("height"), "height")
     if abs(size[0] * photo[1] / (size[1] * photo[0]) - 1) <= ASPECT:
@@ -116,18 +108,19 @@ def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> Optics:
     if kind not in MODELS:
         raise ValueError(f"the camera model {str(kind)[:40]} is not read; reconstruct with "
                          "perspective, brown or fisheye")
-    return optics(size, focal, centre, MODELS[kind], {key: value(key) for key in COEFFICIENTS})
+    return posed.optics(size, focal, centre, MODELS[kind],
+                        {key: value(key) for key in posed.COEFFICIENTS})
 
 
-def _points(points: Mapping[str, Any], folder: Path, shots: list[str]) -> Cloud | None:
+def _points(points: Mapping[str, Any], folder: Path, shots: list[str]) -> posed.Cloud | None:
     if not points:
         return None
     rows = [[numbers(table(point, f"point {name[:40]}").get(key), 3, f"{key} of point {name[:40]}")
              for key in ("coordinates", "color")] for name, point in points.items()]
     positions, colours = np.array(rows).transpose(1, 0, 2)
     tracks = folder / TRACKS
-    return Cloud(positions, colours.clip(0, 255).round().astype(np.uint8),
-                 _observations(tracks, list(points), shots) if tracks.is_file() else None)
+    return posed.Cloud(positions, colours.clip(0, 255).round().astype(np.uint8),
+                       _observations(tracks, list(points), shots) if tracks.is_file() else None)
 
 
 def _observations(path: Path, points: list[str], shots: list[str]) -> NDArray[np.int64]:
