@@ -13,37 +13,8 @@ from clsplat.device import Array, Device
 from clsplat.errors import ShapeError
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
-from clsplat.rendering.bin import (
-    NEEDS_ORDER,
-    PAIR_LIMIT,
-    Pairs,
-    TooManyPairs,
-    bin_splats,
-    count_tiles,
-)
-from clsplat.rendering.blend import (
-    MOST_CHANNELS,
-    Blended,
-    Exposure,
-    Features,
-    SplatGrads,
-    blend,
-    blend_adjoint,
-    blend_defines,
-    choose_bands,
-    pair_limit,
-)
+from clsplat.rendering import bin, blend, project
 from clsplat.rendering.cull import cull
-from clsplat.rendering.project import (
-    LOW_PASS,
-    Gradients,
-    Rows,
-    pack_camera,
-    project,
-    project_adjoint,
-    project_defines,
-    sum_pairs,
-)
 
 Bands = tuple[range | None, ...]  # ranges of tiles; None is all tiles
 
@@ -91,13 +62,13 @@ class Frame:
     visible: Array
     splats: Array
     order: Array | None
-    pairs: Pairs | None
+    pairs: bin.Pairs | None
     bands: Bands
     room: Room | None
-    blended: Blended
+    blended: blend.Blended
     with_depth: bool
     depth_percent: int
-    features: Features | None = None
+    features: blend.Features | None = None
 
     @property
     def image(self) -> Array:
@@ -114,10 +85,10 @@ class Frame:
         """(width, height), pixels."""
         return self.image.shape[2], self.image.shape[1]
 
-    def pairs_of(self, band: range | None) -> Pairs:
+    def pairs_of(self, band: range | None) -> bin.Pairs:
         """The Pairs of one of `bands`: kept, or computed again."""
         width, height = self.size
-        return self.pairs or bin_splats(
+        return self.pairs or bin.bin_splats(
             self.splats.device, self.splats, self.counts, self.order, width, height, band,
             room=self.room.pairs if self.room else None)
 
@@ -143,22 +114,22 @@ class Renderer:
 
     def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,
                  background: Sequence[float] = (0.0, 0.0, 0.0), smooth_cutoff: bool = False,
-                 orthographic: bool = False, low_pass: float = LOW_PASS) -> None:
+                 orthographic: bool = False, low_pass: float = project.LOW_PASS) -> None:
         self.device, self.near, self.smooth_cutoff = device, near, smooth_cutoff
         self.orthographic, self.low_pass = orthographic, low_pass
         self.background, self.skipped = device.zeros((3,)), device.zeros((1,), np.uint32)
         self.background.write(background)
-        self._project_defines = project_defines(sh_degree, antialiased, orthographic)
+        self._project_defines = project.project_defines(sh_degree, antialiased, orthographic)
 
     def pack(self, camera: Camera) -> Array:
         """The camera on the device, for `render`; pack once for each view, not in each step."""
         if camera.orthographic != self.orthographic:
             raise ValueError("a renderer is for orthographic cameras, or for pinhole cameras")
-        return pack_camera(self.device, camera, self.near, self.low_pass)
+        return project.pack_camera(self.device, camera, self.near, self.low_pass)
 
-    def render(self, rows: Rows, camera: Array, width: int, height: int, sh_degree: int,
+    def render(self, rows: project.Rows, camera: Array, width: int, height: int, sh_degree: int,
                with_depth: bool = False, room: Room | None = None, counts: Array | None = None,
-               exposure: Exposure | None = None, features: Array | None = None,
+               exposure: blend.Exposure | None = None, features: Array | None = None,
                depth_percent: int = 0) -> Frame:
         """Render gaussians from a camera.
 
@@ -184,32 +155,33 @@ class Renderer:
         if features is not None:
             if exposure is not None:
                 raise ValueError("features have no exposure")
-            if not 1 <= features.shape[1] <= MOST_CHANNELS:
-                raise ShapeError(f"features have 1 to {MOST_CHANNELS} channels, not "
+            if not 1 <= features.shape[1] <= blend.MOST_CHANNELS:
+                raise ShapeError(f"features have 1 to {blend.MOST_CHANNELS} channels, not "
                                  f"{features.shape[1]}")
             sh_degree = 0  # colours are not drawn
         visible = self.visible(rows, camera, counts, room)
-        splats, depth_keys = project(device, rows, visible, counts, camera, sh_degree,
-                                     self._project_defines)
-        order = stable_sort(device, depth_keys, counts)[1] if NEEDS_ORDER.of(device) else None
+        splats, depth_keys = project.project(device, rows, visible, counts, camera, sh_degree,
+                                             self._project_defines)
+        order = stable_sort(device, depth_keys, counts)[1] if bin.NEEDS_ORDER.of(device) else None
 
-        def binned(band: range | None, limit: int = PAIR_LIMIT) -> Pairs:
-            return bin_splats(device, splats, counts, order, width, height, band, limit,
-                              room.pairs if room else None)
+        def binned(band: range | None, limit: int = bin.PAIR_LIMIT) -> bin.Pairs:
+            return bin.bin_splats(device, splats, counts, order, width, height, band, limit,
+                                  room.pairs if room else None)
 
         pairs, bands = None, room.bands if room else (None,)
         if bands == (None,):
             limit = self.most_pairs(width, height, with_depth)
             try:
                 pairs = binned(None, limit)
-            except TooManyPairs:
-                bands = choose_bands(count_tiles(device, splats, counts, width, height), limit)
-        blended, of_visible = None, None if features is None else Features(features, visible)
+            except bin.TooManyPairs:
+                bands = blend.choose_bands(bin.count_tiles(device, splats, counts, width, height),
+                                           limit)
+        blended, of_visible = None, None if features is None else blend.Features(features, visible)
+        defines = blend.blend_defines(with_depth, self.smooth_cutoff, depth_percent)
         for band in bands:
-            blended = blend(device, splats, pairs or binned(band), width, height,
-                            self._background(of_visible),
-                            blend_defines(with_depth, self.smooth_cutoff, depth_percent), blended,
-                            exposure, of_visible)
+            blended = blend.blend(device, splats, pairs or binned(band), width, height,
+                                  self._background(of_visible),
+                                  defines, blended, exposure, of_visible)
         assert blended is not None  # an image has at least one band
         return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
                      with_depth, depth_percent, of_visible)
@@ -217,9 +189,9 @@ class Renderer:
     def most_pairs(self, width: int, height: int, with_depth: bool) -> int:
         """The largest number of pairs that a band of a frame may have; a frame that has more is
         rendered in bands, to the same bytes."""
-        return pair_limit(self.device, width, height, with_depth)
+        return blend.pair_limit(self.device, width, height, with_depth)
 
-    def measure(self, rows: Rows, camera: Array, width: int, height: int
+    def measure(self, rows: project.Rows, camera: Array, width: int, height: int
                 ) -> tuple[int, NDArray[np.int64]]:
         """How many splats `render` would have, and how many pairs in each tile; waits.
 
@@ -227,10 +199,10 @@ class Renderer:
         """
         device, counts = self.device, new_counts(self.device)
         visible = self.visible(rows, camera, counts)
-        splats, _ = project(device, rows, visible, counts, camera, 0, self._project_defines)
-        return len(visible), count_tiles(device, splats, counts, width, height)
+        splats, _ = project.project(device, rows, visible, counts, camera, 0, self._project_defines)
+        return len(visible), bin.count_tiles(device, splats, counts, width, height)
 
-    def visible(self, rows: Rows, camera: Array, counts: Array | None = None,
+    def visible(self, rows: project.Rows, camera: Array, counts: Array | None = None,
                 room: Room | None = None) -> Array:
         """uint[V], the rows of the gaussians that `render` would draw, ascending; waits without a
         room."""
@@ -238,11 +210,11 @@ class Renderer:
         return compact(self.device, flags, new_counts(self.device) if counts is None else counts,
                        room.visible if room else None, totals)
 
-    def adjoint(self, rows: Rows, frame: Frame, grad_image: Array,
+    def adjoint(self, rows: project.Rows, frame: Frame, grad_image: Array,
                 grad_depth: Array | None = None,
                 grad_transmittance: Array | None = None, frozen: Array | None = None,
                 statistics: tuple[Array, Array] | None = None, masked: Array | None = None,
-                with_pose: bool = False) -> Gradients:
+                with_pose: bool = False) -> project.Gradients:
         """Gradients by the gaussians from gradients by a frame (backward pass).
 
         Parameters
@@ -263,29 +235,29 @@ class Renderer:
                  zero if grad_transmittance is None else grad_transmittance)
         earlier, (*before, last) = None, frame.bands  # an image has at least one band
         for band in before:
-            earlier = sum_pairs(
+            earlier = project.sum_pairs(
                 device, self._splat_grads(frame, frame.pairs_of(band), grads, earlier),
                 frame.counts, self._project_defines)
         splat_grads = self._splat_grads(frame, frame.pairs_of(last), grads, earlier)
-        return project_adjoint(
+        return project.project_adjoint(
             device, rows, frame.visible, frame.counts, frame.camera, frame.sh_degree,
             self._project_defines, splat_grads, self.skipped, frame.size, frozen, statistics,
             masked, with_pose)
 
-    def _splat_grads(self, frame: Frame, pairs: Pairs,
+    def _splat_grads(self, frame: Frame, pairs: bin.Pairs,
                      grads: tuple[Array, Array | None, Array | None],
-                     earlier: Array | None) -> SplatGrads:
+                     earlier: Array | None) -> blend.SplatGrads:
         """The gradients of a band, after those of earlier bands."""
         device, background = self.device, self._background(frame.features)
-        defines = blend_defines(frame.with_depth, self.smooth_cutoff)
+        defines = blend.blend_defines(frame.with_depth, self.smooth_cutoff)
         if pairs is not frame.pairs and pairs.bucket_tiles is not None:  # for the checkpoints
             width, height = frame.size
-            blend(device, frame.splats, pairs, width, height, background, defines,
-                  frame.blended, features=frame.features)
-        return blend_adjoint(device, frame.splats, pairs, frame.blended, background, *grads,
-                             defines, earlier, frame.features)
+            blend.blend(device, frame.splats, pairs, width, height, background, defines,
+                        frame.blended, features=frame.features)
+        return blend.blend_adjoint(device, frame.splats, pairs, frame.blended, background, *grads,
+                                   defines, earlier, frame.features)
 
-    def _background(self, features: Features | None) -> Array:
+    def _background(self, features: blend.Features | None) -> Array:
         """The background: real[3], or of features real[C] of zeros."""
         if features is None:
             return self.background

@@ -12,19 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import (
-    COUNT_DONE,
-    COUNT_FAILED,
-    COUNT_NEEDED_PAIRS,
-    COUNT_NEEDED_VISIBLE,
-    FRAME_COUNTS,
-)
+from clsplat import constants
 from clsplat.device import ArraySpec, Device, Reading
 
 FEW_PENDING = 8
 MOST_PENDING = 100  # units; the counts are read twice as often, and looked at one reading later
 WRAP = 2**32
-COUNTS = ArraySpec((FRAME_COUNTS,), np.uint32)
+COUNTS = ArraySpec((constants.FRAME_COUNTS,), np.uint32)
 
 
 class Unit(NamedTuple):
@@ -68,7 +62,8 @@ class Units:
         read: NDArray[np.uint32] = self.counts.download()
         while not self._drop_done(read):
             assert self._pending, "a frame failed that is of no unit"
-            read[[COUNT_FAILED, COUNT_NEEDED_VISIBLE, COUNT_NEEDED_PAIRS]] = 0
+            read[[constants.COUNT_FAILED, constants.COUNT_NEEDED_VISIBLE,
+                  constants.COUNT_NEEDED_PAIRS]] = 0
             self.counts.write(read)
             self.poll_soon()
             self._pending[0].make_room()
@@ -80,6 +75,6 @@ class Units:
 
     def _drop_done(self, read: NDArray[np.uint32]) -> bool:
         """Forget the units that are done by the counts; whether none has failed."""
-        done = (int(read[COUNT_DONE]) - self._done) % WRAP
-        self._pending, self._done = self._pending[done:], int(read[COUNT_DONE])
-        return not read[COUNT_FAILED]
+        done = (int(read[constants.COUNT_DONE]) - self._done) % WRAP
+        self._pending, self._done = self._pending[done:], int(read[constants.COUNT_DONE])
+        return not read[constants.COUNT_FAILED]

@@ -10,15 +10,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from clsplat.cities import block as training_block
+from clsplat.cities import exchange
 from clsplat.cities import exchange as exchange_module
 from clsplat.cities.block import block_options, train_block
-from clsplat.cities.exchange import (
-    exchange,
-    exchange_steps,
-    lacking_blocks,
-    most_exchanges,
-    other_blocks,
-)
 from clsplat.cities.scene import BlockScene
 from clsplat.cities.workers import Workers
 from clsplat.errors import InputError
@@ -81,7 +75,8 @@ def city(stopped, tmp_path, item_device, monkeypatch):
 def test_a_block_goes_on_from_what_others_own(city):
     block, run = city.block(0), RunFolder(city.block(0).run)
     before, _ = run.load_checkpoint()
-    exchange(block, BlockScene.read(block), other_blocks(block), block_options(block), 1)
+    exchange.exchange(block, BlockScene.read(block), exchange.other_blocks(block),
+                      block_options(block), 1)
     after, state = run.load_checkpoint()
     assert set(after) == set(before)
     scene = read_scene(block.path).reduced(8.0, 10_000).normalised()
@@ -155,23 +150,24 @@ def test_parts_that_cannot_be_used_are_named(city):
                     content[:moment] + b"?" + content[moment + 1:]):
         other.exchanged(1).write_bytes(damaged)
         with pytest.raises(InputError, match=r"exchange_1.npz: not .*damaged .* train that block"):
-            exchange(block, BlockScene.read(block), other_blocks(block), block_options(block), 1)
+            exchange.exchange(block, BlockScene.read(block), exchange.other_blocks(block),
+                              block_options(block), 1)
     record = json.loads((other.path / BLOCK).read_text())
     (other.path / BLOCK).write_text(json.dumps({**record, "partition": "another"}))
     with pytest.raises(InputError, match="a block of another partition"):
-        lacking_blocks(other_blocks(block), 1)
+        exchange.lacking_blocks(exchange.other_blocks(block), 1)
     shutil.rmtree(other.path)
-    assert lacking_blocks(other_blocks(block), 1) == ["001"]
+    assert exchange.lacking_blocks(exchange.other_blocks(block), 1) == ["001"]
     shutil.move(block.path, city.path.parent / "far" / "away" / "000")
     with pytest.raises(InputError, match="with --alone"):
-        other_blocks(type(block)(city.path.parent / "far" / "away" / "000"))
+        exchange.other_blocks(type(block)(city.path.parent / "far" / "away" / "000"))
 
 
 def test_exchanges_lie_in_the_second_half():
-    assert exchange_steps(7000, 3) == [3500, 4700, 5800]
+    assert exchange.exchange_steps(7000, 3) == [3500, 4700, 5800]
     for steps in (200, 399, 1000, 1234, 30_000):
-        for count in range(1, min(9, most_exchanges(steps)) + 1):
-            found = exchange_steps(steps, count)
+        for count in range(1, min(9, exchange.most_exchanges(steps)) + 1):
+            found = exchange.exchange_steps(steps, count)
             assert len({*found}) == count and found == sorted(found)
             assert found[0] >= 100 and found[-1] < steps and not any(step % 100 for step in found)
 

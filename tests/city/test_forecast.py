@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 
 import clsplat.cities.run as city_module
+from clsplat.cities import run
 from clsplat.cities.city import City
-from clsplat.cities.run import (
-    PIXELS_PER_GAUSSIAN,
-    chosen_partition,
-    expected_gaussians,
-    facts_of_whole,
-    gaussians_that_fit,
-    one_block_note,
-    scale_table,
-)
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.io.runs.city import CityFolder
@@ -34,11 +26,11 @@ def test_the_expected_number_is_the_limit_of_the_schedule():
 
     def expected(**options):
         chosen = resolve({}, {"test_every": 0, **options})
-        return expected_gaussians(facts_of_whole(scene, chosen)[0], chosen)
+        return run.expected_gaussians(run.facts_of_whole(scene, chosen)[0], chosen)
 
     assert expected(schedule="mcmc", max_gaussians=points + 7) == points + 7
     assert expected(schedule="mcmc", max_gaussians=7) == points, "it begins with so many"
-    assert expected(schedule="constant") == pixels // PIXELS_PER_GAUSSIAN
+    assert expected(schedule="constant") == pixels // run.PIXELS_PER_GAUSSIAN
     assert expected(pixels_per_gaussian=20.0) == pixels // 20
     assert expected(pixels_per_gaussian=20.0, downscale=2.0) == pytest.approx(pixels / 80, rel=0.01)
 
@@ -48,9 +40,9 @@ def test_blocks_that_share_a_device_fit_it_together(tmp_path):
     whole = City(CityFolder(tmp_path), read_scene(CITY), options, device)
 
     def largest(*given):
-        return chosen_partition({}, whole, *given).block_gaussians
+        return run.chosen_partition({}, whole, *given).block_gaussians
 
-    assert largest() == largest(2, 2) == largest(1, 4) == gaussians_that_fit(device, options)
+    assert largest() == largest(2, 2) == largest(1, 4) == run.gaussians_that_fit(device, options)
     assert largest(8, 2) == largest() // 4
     device.handle.global_mem_size = 1
     assert largest(8) == LEAST_GAUSSIANS
@@ -76,7 +68,8 @@ def test_workers_share_the_devices_that_are_named(tmp_path, monkeypatch, flags, 
 
 def test_a_scene_that_fits_in_one_block_needs_no_city():
     def note(**chosen):
-        return one_block_note(PartitionOptions(**{"expected": 10**6, **chosen}), Path("my scene"))
+        return run.one_block_note(PartitionOptions(**{"expected": 10**6, **chosen}),
+                                  Path("my scene"))
 
     assert "`clsplat train my scene`" in note(block_gaussians=4 * 10**6)
     assert note(block_gaussians=2 * 10**6) == "", "margins belong to several blocks"
@@ -94,16 +87,16 @@ def test_what_ten_times_the_photos_take():
                              handle=SimpleNamespace(global_mem_size=2**30))
     view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
     options = resolve({}, {"iterations": 1000})
-    limit = gaussians_that_fit(device, options)
+    limit = run.gaussians_that_fit(device, options)
     planned = SimpleNamespace(train_views=[view] * 100, options=options)
     forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0, steps=4000)
-    small, large = scale_table(planned, forecast, device, [200, 2000]).rows
+    small, large = run.scale_table(planned, forecast, device, [200, 2000]).rows
     assert small[:4] == ("200", "1", "200", "2,000") and small[7] == "2.00"
     # twenty times the scene, each part of it in 1.6**2 blocks, which share twice the steps
     assert large[1] in ("25", "26") and large[7] == f"{20 * 2.25:.2f}"
-    table = scale_table(planned, forecast, device, [200], 4)
-    assert large[1:2] == scale_table(planned, forecast, device, [2000], 4).rows[0][1:2]
+    table = run.scale_table(planned, forecast, device, [200], 4)
+    assert large[1:2] == run.scale_table(planned, forecast, device, [2000], 4).rows[0][1:2]
     rounds = -(-int(large[1]) // 4)  # of blocks on four devices, after the coarse run
-    assert hours(scale_table(planned, forecast, device, [2000], 4))[1] == pytest.approx(
+    assert hours(run.scale_table(planned, forecast, device, [2000], 4))[1] == pytest.approx(
         20 * (0.25 + 2 * rounds / int(large[1])), abs=0.006)
     assert table.rows[0][1] == "4" and hours(table) == pytest.approx([4.5, 0.5 + 1], abs=0.006)

@@ -5,15 +5,8 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.primitives.compact import new_counts
+from clsplat.rendering import blend
 from clsplat.rendering.bin import bin_splats
-from clsplat.rendering.blend import (
-    BLEND,
-    Exposure,
-    Features,
-    blend,
-    blend_adjoint,
-    blend_defines,
-)
 from clsplat.rendering.project import pack_camera, project_defines, sum_pairs
 from tests import cases
 from tests.checks import close
@@ -31,15 +24,16 @@ class Blended:
     def __init__(self, device, rows, size, background=BACKGROUND, with_depth=True, smooth=False,
                  more=(), room=None, features=None):
         self.device, self.with_depth = device, with_depth
-        self.defines = blend_defines(with_depth, smooth) + more
+        self.defines = blend.blend_defines(with_depth, smooth) + more
         self.background = device.upload(np.asarray(background, float))
         self.splats = device.upload(rows)
         self.pairs = bin_splats(
             device, self.splats, new_counts(device, len(rows)),
             device.upload(np.arange(len(rows), dtype=np.uint32)), *size, room=room)
-        self.features = features and Features(*map(device.upload, features))
-        self.blended = blend(device, self.splats, self.pairs, *size, self.background, self.defines,
-                             features=self.features)
+        self.features = features and blend.Features(*map(device.upload, features))
+        self.blended = blend.blend(device, self.splats, self.pairs, *size, self.background,
+                                   self.defines,
+                                   features=self.features)
         self.image = self.blended.image.download()
         self.transmittance = self.blended.transmittance.download()
         self.last_contributor = self.blended.last_contributor.download()
@@ -49,7 +43,7 @@ class Blended:
         by_depth, by_transmittance = (
             self.device.upload(np.zeros(self.depth.shape) if grad is None else grad)
             if self.with_depth else None for grad in (grad_depth, grad_transmittance))
-        by_pair = blend_adjoint(
+        by_pair = blend.blend_adjoint(
             self.device, self.splats, self.pairs, self.blended, self.background,
             self.device.upload(grad_image), by_depth, by_transmittance, self.defines,
             features=self.features)
@@ -133,8 +127,8 @@ def test_the_response_of_a_view(device, size, with_depth, vignetting):
     plain = Blended(device, rows, size, with_depth=with_depth)
     lens = (pack_camera(device, camera, 0.01), device.upload(np.array([0, 1, 0], np.uint32)),
             device.upload(lenses)) if vignetting else ()
-    drawn = blend(device, plain.splats, plain.pairs, *size, plain.background, plain.defines,
-                  exposure=Exposure(device.upload(transforms.reshape(3, 12)), 1, *lens))
+    drawn = blend.blend(device, plain.splats, plain.pairs, *size, plain.background, plain.defines,
+                        exposure=blend.Exposure(device.upload(transforms.reshape(3, 12)), 1, *lens))
     assert np.array_equal(drawn.image.download(), plain.image)
     own = lenses[1] if vignetting else NO_LENS
     close(drawn.exposed.download(), apply(transforms[1], plain.image, own, radius(camera, own)),
@@ -190,7 +184,7 @@ def test_alpha_is_clamped_at_its_limit(device):
 
 
 def test_a_build_has_the_arguments_of_its_choices_alone(float_device):
-    plain, deep = (BLEND.contract(float_device, (("WITH_DEPTH", deep),)) for deep in (0, 1))
+    plain, deep = (blend.BLEND.contract(float_device, (("WITH_DEPTH", deep),)) for deep in (0, 1))
     assert len(plain.arguments) == PLAIN_ARGUMENTS[float_device.form]
     more = {"depth", "depth_checkpoints"} if float_device.form == "group" else {"depth"}
     assert deep.arguments.keys() - plain.arguments.keys() == more

@@ -5,14 +5,7 @@ import pytest
 
 from tests import cases
 from tests.checks import close
-from tests.kernels.chain import (
-    camera_of,
-    depth_order,
-    precision_of,
-    render,
-    renderer_of,
-    size_of,
-)
+from tests.kernels import chain
 from tests.reference.blend import blend, fragile_pixels
 from tests.reference.project import project
 from tests.rendering.test_slabs import downloaded, faint, in_slabs
@@ -36,14 +29,14 @@ def flat(case):
 def test_image_and_depth_at_a_share_of_the_light(device, name, percent):
     case = flat(cases.gaussians(name))
     splats = project(case["rows"], case["camera"], case["degree"], case["near"])
-    order, size = depth_order(splats), size_of(case)
+    order, size = chain.depth_order(splats), chain.size_of(case)
     fragile = fragile_pixels(splats, order, *size)
     image, left, depth = blend(splats, order, *size, case["background"], with_depth=True,
                                depth_at=percent / 100)
-    _, _, frame = render(device, case, with_depth=True,
-                         **{**CHOICES, "depth_percent": percent})
+    _, _, frame = chain.render(device, case, with_depth=True,
+                               **{**CHOICES, "depth_percent": percent})
     assert sorted(frame.visible.download()) == sorted(order) and len(order) > 5
-    precision = precision_of(device)
+    precision = chain.precision_of(device)
     close(np.where(fragile, image, frame.image.download()), image, precision, f"{name}: image")
     fragile |= abs(left - percent / 100) < 1e-4  # another splat may be the one at the threshold
     close(np.where(fragile, depth, frame.blended.depth.download()), depth, precision,
@@ -54,7 +47,7 @@ def test_image_and_depth_at_a_share_of_the_light(device, name, percent):
 @pytest.mark.parametrize("name", ["ragged", "giants"])
 def test_slabs_show_the_same(float_device, name):
     case = flat(faint(name))
-    _, _, whole = render(float_device, case, with_depth=True, **CHOICES)
+    _, _, whole = chain.render(float_device, case, with_depth=True, **CHOICES)
     expected = downloaded(whole)
     drawn = len(whole.visible)
     for limit in (drawn, -(-drawn // 3)):
@@ -69,10 +62,10 @@ def test_slabs_show_the_same(float_device, name):
 
 def test_a_renderer_refuses_the_other_kind_of_camera_and_an_adjoint(item_device):
     case = cases.gaussians("one")
-    renderer, rows, frame = render(item_device, flat(cases.gaussians("one")), **CHOICES)
+    renderer, rows, frame = chain.render(item_device, flat(cases.gaussians("one")), **CHOICES)
     with pytest.raises(ValueError, match="orthographic"):
-        renderer.pack(camera_of(case))
+        renderer.pack(chain.camera_of(case))
     with pytest.raises(ValueError, match="orthographic"):
-        renderer_of(item_device, case).pack(camera_of(flat(case)))
+        chain.renderer_of(item_device, case).pack(chain.camera_of(flat(case)))
     with pytest.raises(ValueError, match="no adjoint"):
         renderer.adjoint(rows, frame, frame.blended.image)

@@ -11,16 +11,7 @@ from clsplat.constants import SH_C0
 from clsplat.errors import ShapeError
 from tests import cases
 from tests.checks import close
-from tests.kernels.chain import (
-    agrees_with_reference,
-    camera_of,
-    gradients_by_row,
-    precision_of,
-    render,
-    size_of,
-    small_scene,
-    upload_rows,
-)
+from tests.kernels import chain
 
 ANTIALIASED = ("plain", "needles", "grazing")
 
@@ -31,12 +22,12 @@ ANTIALIASED = ("plain", "needles", "grazing")
      for name in cases.SCENES] + [(name, True) for name in ANTIALIASED])
 @pytest.mark.one_in(5)
 def test_image_and_gradients(device, name, antialiased):
-    agrees_with_reference(device, name, antialiased)
+    chain.agrees_with_reference(device, name, antialiased)
 
 
 @pytest.mark.oclgrind
 def test_a_small_scene(device):
-    agrees_with_reference(device, "degree_1", False, count=12)
+    chain.agrees_with_reference(device, "degree_1", False, count=12)
 
 
 @pytest.mark.slow
@@ -44,19 +35,20 @@ def test_features_that_are_colours_make_the_same_frame(device):
     """Of degree 0 over black: the image, the gradients by shapes, also in bands, and those by the
     features, which are those by the harmonics but for their factor."""
     case = {**cases.gaussians("plain"), "degree": 0, "background": np.zeros(3)}
-    renderer, rows, plain = render(device, case)
+    renderer, rows, plain = chain.render(device, case)
     colours = np.maximum(0, 0.5 + SH_C0 * case["rows"]["sh_constant"])
-    features, camera = device.upload(colours), renderer.pack(camera_of(case))
+    features, camera = device.upload(colours), renderer.pack(chain.camera_of(case))
     grad, results = device.upload(cotangents(case)[0]), []
     for limit in (plain.pairs.count, plain.pairs.count // 2):
         renderer.most_pairs = lambda *_, limit=limit: limit
-        frame = renderer.render(rows, camera, *size_of(case), 0, features=features)
+        frame = renderer.render(rows, camera, *chain.size_of(case), 0, features=features)
         results.append((frame, renderer.adjoint(rows, frame, grad, with_pose=True)))
     (frame, actual), (banded, same) = results
     assert len(banded.bands) > 1
     assert np.array_equal(banded.image.download(), frame.image.download())
     assert np.array_equal(same.features.download(), actual.features.download())
-    precision, expected = precision_of(device), renderer.adjoint(rows, plain, grad, with_pose=True)
+    precision, expected = chain.precision_of(device), renderer.adjoint(rows, plain, grad,
+                                                                       with_pose=True)
     close(frame.image.download(), plain.image.download(), precision, "image")
     for name in ("positions", "opacity_logits", "log_scales", "quaternions"):
         close(actual.fields[name].download(), expected.fields[name].download(), precision, name)
@@ -71,11 +63,12 @@ def test_features_that_are_colours_make_the_same_frame(device):
 def test_features_of_too_many_channels_are_refused(float_device, channels):
     case = cases.gaussians("plain")
     with pytest.raises(ShapeError, match="1 to 16 channels"):
-        render(float_device, case, features=np.zeros((len(case["rows"]["positions"]), channels)))
+        chain.render(float_device, case,
+                     features=np.zeros((len(case["rows"]["positions"]), channels)))
 
 
 def cotangents(case, seed=0):
-    width, height = size_of(case)
+    width, height = chain.size_of(case)
     rng = np.random.default_rng(seed)
     return (rng.normal(size=(3, height, width)), *rng.normal(size=(2, height, width)))
 
@@ -91,13 +84,13 @@ def back(device, renderer, rows, frame, case):
 def test_adjoint_is_the_transposed_derivative(double_device, antialiased, seeds):
     """<J v, w> = <v, J^T w>, with J v by central differences of fourth order."""
     for seed in seeds:
-        case = small_scene(seed, count=16, width=30, height=20)
+        case = chain.small_scene(seed, count=16, width=30, height=20)
         case["rows"]["opacity_logits"] -= 1  # no pixel may end early: that is a step
         rng = np.random.default_rng(seed)
-        renderer, rows, frame = render(
+        renderer, rows, frame = chain.render(
             double_device, case, with_depth=True, smooth_cutoff=True, antialiased=antialiased)
         assert frame.blended.transmittance.download().min() > 2e-4
-        gradients = gradients_by_row(back(double_device, renderer, rows, frame, case), case)
+        gradients = chain.gradients_by_row(back(double_device, renderer, rows, frame, case), case)
         direction = {name: rng.normal(size=values.shape) * (np.abs(values) + 0.1)
                      for name, values in case["rows"].items()}
         step = 1e-6
@@ -113,19 +106,20 @@ def test_adjoint_is_the_transposed_derivative(double_device, antialiased, seeds)
 
 def weighted(renderer, case, direction, distance):
     """The rendering of the rows moved along a direction, weighted by the cotangents."""
-    rows = upload_rows(renderer.device, {
+    rows = chain.upload_rows(renderer.device, {
         name: values + distance * direction[name] for name, values in case["rows"].items()})
     frame = renderer.render(
-        rows, renderer.pack(camera_of(case)), *size_of(case), case["degree"], with_depth=True)
+        rows, renderer.pack(chain.camera_of(case)), *chain.size_of(case), case["degree"],
+        with_depth=True)
     drawn = frame.image, frame.blended.depth, frame.blended.transmittance
     return sum(np.sum(a.download() * b) for a, b in zip(drawn, cotangents(case)))
 
 
 def rendered_bytes(device, case):
-    renderer, rows, frame = render(device, case, with_depth=True)
+    renderer, rows, frame = chain.render(device, case, with_depth=True)
     gradients = back(device, renderer, rows, frame, case)
     return (frame.image.download(), frame.blended.depth.download(), gradients.means.download(),
-            *gradients_by_row(gradients, case).values())
+            *chain.gradients_by_row(gradients, case).values())
 
 
 def assert_same(first, second):
@@ -144,8 +138,8 @@ def test_the_same_bytes_every_time_and_for_every_group_size(device, monkeypatch)
 @pytest.mark.slow
 def test_the_gradient_by_the_pose_agrees_with_differences(double_device):
     case = cases.gaussians("plain")
-    renderer, rows, frame = render(double_device, case, smooth_cutoff=True)
-    weights, camera = cotangents(case)[0], camera_of(case)
+    renderer, rows, frame = chain.render(double_device, case, smooth_cutoff=True)
+    weights, camera = cotangents(case)[0], chain.camera_of(case)
     actual = renderer.adjoint(rows, frame, double_device.upload(weights), with_pose=True).by_pose()
 
     def loss(change):

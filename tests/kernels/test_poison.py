@@ -9,11 +9,7 @@ import pytest
 
 from clsplat.constants import NO_ROW
 from tests import cases
-from tests.kernels.chain import (
-    render,
-    size_of,
-    small_scene,
-)
+from tests.kernels import chain
 
 POISONED = 5
 SLOTS = {
@@ -23,13 +19,13 @@ SLOTS = {
 
 
 def scene():
-    return small_scene(3, count=16, width=33, height=17)
+    return chain.small_scene(3, count=16, width=33, height=17)
 
 
 def survives(device, case, what):
     """Render and go back; returns the rows marked as not finite."""
-    width, height = size_of(case)
-    renderer, rows, frame = render(device, case)
+    width, height = chain.size_of(case)
+    renderer, rows, frame = chain.render(device, case)
     visible, image = frame.visible.download(), frame.image.download()
     assert np.isfinite(image).all(), f"{what}: the image is not finite"
     gradients = renderer.adjoint(
@@ -61,8 +57,8 @@ def test_poison_stays_with_its_gaussian(float_device, name):
 def test_gradients_whose_squares_overflow_are_marked(float_device):
     """Adam would keep an infinite second moment, and the next step would be nan."""
     case = scene()
-    width, height = size_of(case)
-    renderer, rows, frame = render(float_device, case)
+    width, height = chain.size_of(case)
+    renderer, rows, frame = chain.render(float_device, case)
     gradients = renderer.adjoint(
         rows, frame, float_device.upload(np.full((3, height, width), 1e20)))
     marked = gradients.rows.download() == NO_ROW

@@ -12,14 +12,7 @@ from clsplat.primitives.compact import new_counts
 from clsplat.rendering.project import pack_camera
 from tests import cases
 from tests.checks import close
-from tests.kernels.chain import (
-    camera_of,
-    depth_order,
-    precision_of,
-    renderer_of,
-    size_of,
-    upload_rows,
-)
+from tests.kernels import chain
 from tests.reference import pose as reference
 from tests.reference.blend import blend_adjoint, fragile_pixels
 from tests.reference.project import project
@@ -39,7 +32,7 @@ class Run:
     def __init__(self, device, size=0.05, pull=PULL):
         self.device, rng = device, np.random.default_rng(0)
         self.camera = in_all_digits(cases.camera(40, 30, turned=True))
-        self.given = camera_of({"camera": self.camera})
+        self.given = chain.camera_of({"camera": self.camera})
         self.packed = pack_camera(device, self.given, 0.01)
         self.poses = Poses(device, VIEWS * [self.given], DEPTH, pull)
         rows = cases.single(rng.normal(0, size, (VIEWS, 6)))
@@ -58,7 +51,7 @@ class Run:
         saved = self.poses.download()
         assert set(saved) == set(NAMES)
         for name, expected in zip(NAMES[:3], self.state):
-            close(saved[name], expected, precision_of(self.device), f"{what}: {name}")
+            close(saved[name], expected, chain.precision_of(self.device), f"{what}: {name}")
         assert np.array_equal(saved["steps"], self.state[3]), what
 
 
@@ -75,12 +68,12 @@ def test_the_corrected_camera(device, size):
     for view in range(VIEWS):
         expected = reference.apply(run.camera, run.state[0][view], DEPTH)
         actual = run.poses.apply(view, run.packed).download()
-        packed = pack_camera(device, camera_of({"camera": expected}), 0.01).download()
-        close(actual, packed, precision_of(device), f"view {view}")
+        packed = pack_camera(device, chain.camera_of({"camera": expected}), 0.01).download()
+        close(actual, packed, chain.precision_of(device), f"view {view}")
         correction = run.poses.corrections()[view]
         host = correction.applied(run.given)
         close(host.rotation, expected["rotation"], "float", "rotation")
-        close(host.position, camera_of({"camera": expected}).position, "float", "position")
+        close(host.position, chain.camera_of({"camera": expected}).position, "float", "position")
         if size < 1:  # a turn by less than half a revolution
             back = correction_between(run.given, host)
             assert np.allclose(back.turn, correction.turn, atol=1e-9)
@@ -96,22 +89,23 @@ def test_the_gradient_of_a_render(device, name, antialiased):
     case["camera"] = in_all_digits(case["camera"])
     arguments = case["camera"], case["degree"], case["near"]
     splats = project(case["rows"], *arguments, antialiased=antialiased)
-    order, rng = depth_order(splats), np.random.default_rng(1)
-    fragile = fragile_pixels(splats, order, *size_of(case))
+    order, rng = chain.depth_order(splats), np.random.default_rng(1)
+    fragile = fragile_pixels(splats, order, *chain.size_of(case))
     cotangents = [np.where(fragile, 0, rng.normal(size=(*channels, *fragile.shape)))
                   for channels in ((3,), (), ())]
-    by_splat = blend_adjoint(splats, order, *size_of(case), case["background"], *cotangents)
+    by_splat = blend_adjoint(splats, order, *chain.size_of(case), case["background"], *cotangents)
     expected = reference.terms(case["rows"], *arguments, antialiased, grads=by_splat)
-    renderer = renderer_of(device, case, antialiased=antialiased)
-    rows = upload_rows(device, case["rows"])
-    frame = renderer.render(rows, renderer.pack(camera_of(case)), *size_of(case), case["degree"],
+    renderer = chain.renderer_of(device, case, antialiased=antialiased)
+    rows = chain.upload_rows(device, case["rows"])
+    frame = renderer.render(rows, renderer.pack(chain.camera_of(case)), *chain.size_of(case),
+                            case["degree"],
                             True)
     gradients = renderer.adjoint(rows, frame, *map(device.upload, cotangents), with_pose=True,
                                  frozen=device.upload(np.ones(len(expected), np.uint32)))
     visible = frame.visible.download()
     actual = gradients.pose_terms.download()
-    close(actual[:, :3], expected[visible, :3], precision_of(device), f"{name}: by a turn")
-    close(actual[:, 3:], expected[visible, 3:], precision_of(device), f"{name}: by positions")
+    close(actual[:, :3], expected[visible, :3], chain.precision_of(device), f"{name}: by a turn")
+    close(actual[:, 3:], expected[visible, 3:], chain.precision_of(device), f"{name}: by positions")
     plain = renderer.adjoint(rows, frame, *map(device.upload, cotangents))
     assert plain.pose_terms is None
     assert np.array_equal(plain.fields["positions"].download(),

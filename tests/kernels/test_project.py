@@ -13,14 +13,7 @@ from clsplat.rendering.cull import cull
 from clsplat.rendering.project import pack_camera, project, project_adjoint
 from tests import cases
 from tests.checks import close
-from tests.kernels.chain import (
-    camera_of,
-    close_gradients,
-    grads_of_sums,
-    precision_of,
-    size_of,
-    upload_rows,
-)
+from tests.kernels import chain
 from tests.reference import project as reference
 
 ANTIALIASED = ("degree_0", "plain", "needles", "opacities", "specks")
@@ -58,8 +51,8 @@ class Projected:
     def __init__(self, device, case, antialiased=False, with_depth=True,
                  splat_grads=one_pair_each):
         defines = (("SH_REST", case["rows"]["sh_rest"].shape[1]), ("ANTIALIASED", int(antialiased)))
-        rows = upload_rows(device, case["rows"])
-        camera = pack_camera(device, camera_of(case), case["near"])
+        rows = chain.upload_rows(device, case["rows"])
+        camera = pack_camera(device, chain.camera_of(case), case["near"])
         counts = new_counts(device)
         flags, totals = cull(device, rows, camera, defines)
         seen = compact(device, flags, counts, totals=totals)
@@ -86,7 +79,7 @@ def check(device, case, antialiased, what, with_depth=True):
     arguments = case["camera"], case["degree"], case["near"]
     expected = reference.project(case["rows"], *arguments, antialiased=antialiased)
     actual = Projected(device, case, antialiased, with_depth)
-    visible, precision = actual.visible, precision_of(device)
+    visible, precision = actual.visible, chain.precision_of(device)
     assert np.array_equal(visible, np.flatnonzero(expected["visible"])), f"{what}: visible"
     conics = expected["conics"][visible]
     close(actual.keys.view(np.float32), expected["depths"][visible], "float",
@@ -100,13 +93,13 @@ def check(device, case, antialiased, what, with_depth=True):
     size = np.abs(conics).max(axis=1, keepdims=True)
     close(actual.splats[:, 4:7] / size, conics / size, precision, f"{what}: conics")
 
-    by_splat = grads_of_sums(actual.sums, conics)
+    by_splat = chain.grads_of_sums(actual.sums, conics)
     grads = {name: np.zeros((len(expected["visible"]), *values.shape[1:]))
              for name, values in by_splat.items()}
     for name, values in by_splat.items():
         grads[name][visible] = values
     close(actual.grad_means, by_splat["means"], precision, f"{what}: gradient of means")
-    close_gradients(
+    chain.close_gradients(
         actual.gradients,
         reference.project_adjoint(case["rows"], *arguments, antialiased=antialiased, grads=grads),
         case, precision, what)
@@ -151,11 +144,11 @@ def test_a_gaussian_that_cannot_be_drawn_has_no_tiles(device):
     defines = (("SH_REST", 3), ("ANTIALIASED", 0))
     counts, seen = new_counts(device, 20), device.upload(np.arange(20, dtype=np.uint32))
     splats, keys = project(
-        device, upload_rows(device, case["rows"]), seen, counts,
-        pack_camera(device, camera_of(case), case["near"]), case["degree"], defines)
+        device, chain.upload_rows(device, case["rows"]), seen, counts,
+        pack_camera(device, chain.camera_of(case), case["near"]), case["degree"], defines)
     assert np.isfinite(splats.download()).all() and not keys.download()[[3, 5, 7]].any()
     order = stable_sort(device, keys, counts)[1]
-    pairs = bin_splats(device, splats, counts, order, *size_of(case))
+    pairs = bin_splats(device, splats, counts, order, *chain.size_of(case))
     assert not pairs.splat_counts.download()[[3, 5, 7]].any() and pairs.count > 20
 
 
@@ -165,8 +158,8 @@ def test_slots_past_the_visible_gaussians_are_not_touched(device):
     exact = Projected(device, case)
     number, room = len(exact.visible), len(exact.visible) + 13
     defines = (("SH_REST", 3), ("ANTIALIASED", 0))
-    rows = upload_rows(device, case["rows"])
-    camera = pack_camera(device, camera_of(case), case["near"])
+    rows = chain.upload_rows(device, case["rows"])
+    camera = pack_camera(device, chain.camera_of(case), case["near"])
     counts = new_counts(device, number)
     seen = device.upload(np.resize(exact.visible, room).astype(np.uint32))
     splats, keys = project(device, rows, seen, counts, camera, case["degree"], defines)

@@ -8,14 +8,7 @@ from clsplat.loss.reproject import pack_pairs, reproject
 from tests import cases
 from tests.checks import close
 from tests.data.view_pairs import view_pair
-from tests.kernels.chain import (
-    camera_of,
-    gradients_by_row,
-    precision_of,
-    render,
-    small_scene,
-    upload_rows,
-)
+from tests.kernels import chain
 from tests.reference import reproject as reference
 
 COLOUR = cases.single(
@@ -65,9 +58,10 @@ def check(device, values, what):
         values["depth"], values["transmittance"], values["photo"] / 255,
         values["neighbour"] / 255, values["cameras"], values["colour"])
     sums, *grads = run(device, values)
-    close(sums, [squares.sum(), valid.sum()], precision_of(device), f"{what}: sums")
+    close(sums, [squares.sum(), valid.sum()], chain.precision_of(device), f"{what}: sums")
     for name, grad, expected_grad in zip(("depth", "transmittance"), grads, expected):
-        close(grad, WEIGHT * expected_grad, precision_of(device), f"{what}: gradient of {name}")
+        close(grad, WEIGHT * expected_grad, chain.precision_of(device),
+              f"{what}: gradient of {name}")
     return valid.sum()
 
 
@@ -83,7 +77,8 @@ def test_masked_pixels_and_samples_are_not_valid(device):
     assert 0 < some[1] < sums[1]
     for grad, some_grad in zip(grads, some_grads):
         assert not some_grad[~valid].any()
-        close(some_grad * some[1], np.where(valid, grad, 0) * sums[1], precision_of(device), "mask")
+        close(some_grad * some[1], np.where(valid, grad, 0) * sums[1], chain.precision_of(device),
+              "mask")
     other = np.ones((40, 48), bool)
     none, *_ = run(device, values | {"neighbour": masked(values["neighbour"], other)})
     assert np.array_equal(none, sums)
@@ -138,7 +133,7 @@ def test_poison_stays_with_its_pixel(device, name):
             assert np.isfinite(grad).all(), f"{name} = {label}"
             actual, expected_grad = grad * sums[1], expected * before[0][1]
             actual[4, 7] = expected_grad[4, 7] = 0
-            close(actual, expected_grad, precision_of(device), f"{name} = {label}")
+            close(actual, expected_grad, chain.precision_of(device), f"{name} = {label}")
 
 
 @pytest.mark.parametrize("name, index", [("colour", (1, 2)), ("colour", (0, 3)), ("geometry", 0),
@@ -161,29 +156,29 @@ def test_through_the_renderer_to_the_gaussians(double_device):
     """The loss of a render by differences, against the chain of adjoints. The neighbour is a ramp,
     of which bilinear samples have no kinks."""
     device = double_device
-    case = small_scene(3, count=40, width=30, height=20)
+    case = chain.small_scene(3, count=40, width=30, height=20)
     case["rows"]["log_scales"] += 0.5
     line, column = np.mgrid[:30, :45]
     ramp = np.stack([2 * column + 3 * line, 5 * column, 200 - 4 * line]).astype(np.uint8)
     photo = np.random.default_rng(3).integers(0, 256, (3, 20, 30), np.uint8)
-    first = camera_of(case)
+    first = chain.camera_of(case)
     other = Camera(45, 30, (40.0, 44.0), (22.0, 15.5), first.rotation,
                    first.translation + [0.3, -0.1, 0.4])
     shared = (device.upload(photo), device.upload(ramp), pack_pairs(device, [(first, other)]),
               device.upload(np.reshape(COLOUR, (1, 12))), 0, WEIGHT)
-    renderer, rows, frame = render(device, case, with_depth=True, smooth_cutoff=True)
+    renderer, rows, frame = chain.render(device, case, with_depth=True, smooth_cutoff=True)
     assert frame.blended.transmittance.download().min() > 2e-4  # none ends early: that is a step
     sums, *grads = reproject(device, frame.blended.depth, frame.blended.transmittance, *shared)
     count = sums.download()[1]
     assert count > 100
-    gradients = gradients_by_row(
+    gradients = chain.gradients_by_row(
         renderer.adjoint(rows, frame, device.zeros(frame.image.shape), *grads), case)
     rng = np.random.default_rng(4)
     direction = {name: rng.normal(size=v.shape) * (np.abs(v) + 0.1)
                  for name, v in case["rows"].items()}
 
     def loss(distance):
-        moved = upload_rows(device, {
+        moved = chain.upload_rows(device, {
             name: v + distance * direction[name] for name, v in case["rows"].items()})
         drawn = renderer.render(moved, frame.camera, *frame.size, case["degree"], True).blended
         squares, valid = reproject(device, drawn.depth, drawn.transmittance, *shared)[0].download()

@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.constants import (
-    COUNT_FAILED,
-    COUNT_NEEDED_PAIRS,
-    COUNT_NEEDED_VISIBLE,
-    COUNT_PAIRS,
-    COUNT_SUM_PAIRS,
-    COUNT_VISIBLE,
-)
+from clsplat import constants
 from clsplat.device.array import Array
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.contribution import contribution
@@ -36,7 +29,7 @@ class Rendered:
             gradients = renderer.adjoint(rows, frame, *grads)
             sums = contribution(device, frame, weights)
         self.counts = frame.counts.download()
-        self.number = number = self.counts[COUNT_VISIBLE]
+        self.number = number = self.counts[constants.COUNT_VISIBLE]
         self.visible = frame.visible.download()[:number]
         self.rows = gradients.rows.download()[:number]
         self.arrays = [frame.image.download(), frame.blended.depth.download(),
@@ -48,7 +41,7 @@ class Rendered:
     def room(self, visible=0, pairs=0, **bands):
         """That of this frame, with more or fewer slots."""
         return Room(len(self.frame.visible) + visible,
-                    int(self.counts[COUNT_PAIRS]) + pairs, **bands)
+                    int(self.counts[constants.COUNT_PAIRS]) + pairs, **bands)
 
 
 @pytest.mark.slow
@@ -60,8 +53,8 @@ def test_a_room_that_is_large_enough_changes_nothing(device, name, visible, pair
     roomy = Rendered(device, case, exact.room(visible, pairs), new_counts(device))
     assert len(roomy.frame.visible) == len(exact.visible) + visible
     assert roomy.frame.pairs.count == exact.frame.pairs.count + pairs
-    assert roomy.counts[COUNT_PAIRS] == exact.frame.pairs.count and roomy.number > 100
-    assert not roomy.counts[COUNT_FAILED] and roomy.skipped == exact.skipped
+    assert roomy.counts[constants.COUNT_PAIRS] == exact.frame.pairs.count and roomy.number > 100
+    assert not roomy.counts[constants.COUNT_FAILED] and roomy.skipped == exact.skipped
     assert_same(exact.arrays, roomy.arrays)
 
 
@@ -77,27 +70,29 @@ def test_a_small_frame_with_a_room(device):
 def test_bands_with_a_room(device, more):
     case = cases.gaussians("giants", count=200)
     whole = Rendered(device, case)
-    banded = Rendered(device, case, pair_limit=int(0.3 * whole.counts[COUNT_PAIRS]))
+    banded = Rendered(device, case, pair_limit=int(0.3 * whole.counts[constants.COUNT_PAIRS]))
     assert len(banded.frame.bands) > 3
-    largest = int(0.3 * whole.counts[COUNT_PAIRS])
+    largest = int(0.3 * whole.counts[constants.COUNT_PAIRS])
     room = Room(len(whole.visible) + more, largest + more, banded.frame.bands)
     roomy = Rendered(device, case, room)
     assert roomy.frame.bands == banded.frame.bands and roomy.frame.pairs is None
     assert_same(whole.arrays, roomy.arrays)
     # once for the image, once each for the adjoint and the contributions
-    assert roomy.counts[COUNT_SUM_PAIRS] == 3 * whole.counts[COUNT_PAIRS]
+    assert roomy.counts[constants.COUNT_SUM_PAIRS] == 3 * whole.counts[constants.COUNT_PAIRS]
 
 
 @pytest.mark.parametrize("visible, pairs, what", [
-    (-1, 0, COUNT_NEEDED_VISIBLE), (0, -1, COUNT_NEEDED_PAIRS), (-50, -300, COUNT_NEEDED_VISIBLE)])
+    (-1, 0, constants.COUNT_NEEDED_VISIBLE), (0, -1, constants.COUNT_NEEDED_PAIRS),
+    (-50, -300, constants.COUNT_NEEDED_VISIBLE)])
 def test_a_room_that_is_too_small_fails(device, visible, pairs, what):
     """The frame sees nothing, shows the background, and says what it would have needed."""
     case = cases.gaussians("degree_1", count=200)
     exact = Rendered(device, case)
-    needed = {COUNT_NEEDED_VISIBLE: exact.number, COUNT_NEEDED_PAIRS: exact.counts[COUNT_PAIRS]}
+    needed = {constants.COUNT_NEEDED_VISIBLE: exact.number,
+              constants.COUNT_NEEDED_PAIRS: exact.counts[constants.COUNT_PAIRS]}
     failed = Rendered(device, case, exact.room(visible, pairs))
-    assert failed.counts[COUNT_FAILED] == 1 and failed.counts[what] == needed[what]
-    assert failed.number == failed.counts[COUNT_PAIRS] == failed.skipped == 0
+    assert failed.counts[constants.COUNT_FAILED] == 1 and failed.counts[what] == needed[what]
+    assert failed.number == failed.counts[constants.COUNT_PAIRS] == failed.skipped == 0
     background = np.asarray(case["background"], device.real)
     assert (failed.arrays[0] == background[:, None, None]).all() and (failed.arrays[2] == 1).all()
 
@@ -107,6 +102,6 @@ def test_frames_after_a_failure_see_nothing_until_it_is_cleared(device):
     exact, counts = Rendered(device, other), new_counts(device)
     Rendered(device, case, exact.room(), counts)
     again = Rendered(device, other, exact.room(), counts)
-    assert again.counts[COUNT_FAILED] == 1 and again.number == 0
+    assert again.counts[constants.COUNT_FAILED] == 1 and again.number == 0
     counts.fill(0)
     assert_same(exact.arrays, Rendered(device, other, exact.room(), counts).arrays)

@@ -14,14 +14,7 @@ from clsplat.rendering import slabs
 from clsplat.rendering.slabs import Parts, SlabRenderer, open_model
 from tests import cases
 from tests.data.tiny_training import CITY, options_of
-from tests.kernels.chain import (
-    camera_of,
-    render,
-    renderer_of,
-    size_of,
-    stored_degree,
-    upload_rows,
-)
+from tests.kernels import chain
 
 # of a pixel that ended: the light left is below TRANSMITTANCE_MIN / (1 - ALPHA_MAX)
 STOP = 1e-2
@@ -29,10 +22,11 @@ STOP = 1e-2
 
 def in_slabs(device, case, limit, rows=None, part=16, with_depth=True, depth_percent=0, **options):
     """(image, depth, transmittance, number of slabs)."""
-    renderer = SlabRenderer(device, stored_degree(case), case["near"],
+    renderer = SlabRenderer(device, chain.stored_degree(case), case["near"],
                             background=case["background"], limit=limit, **options)
     parts = Parts.of(case["rows"] if rows is None else rows, part)
-    frame = renderer.render(parts, renderer.pack(camera_of(case)), *size_of(case), case["degree"],
+    frame = renderer.render(parts, renderer.pack(chain.camera_of(case)), *chain.size_of(case),
+                            case["degree"],
                             with_depth, depth_percent)
     return *downloaded(frame), frame.slabs
 
@@ -58,7 +52,7 @@ def same_to_rounding(actual, expected):
 @pytest.mark.parametrize("name", ["ragged", "giants", "near_plane"])
 def test_any_number_of_slabs_gives_the_same_picture(device, name):
     case = faint(name)
-    _, _, whole = render(device, case, with_depth=True)
+    _, _, whole = chain.render(device, case, with_depth=True)
     assert whole.blended.transmittance.download().min() > 1e-3
     drawn = len(whole.visible)
     for limit in (drawn, -(-drawn // 2), -(-drawn // 7), 1):
@@ -74,7 +68,7 @@ def test_ties_of_depth_are_drawn_in_the_order_of_rows(float_device, limit):
     rows["positions"][:, 2] = np.resize([4.0, 3.0], 60)
     rows["opacity_logits"][:] = -1
     rows["positions"][:, :2] *= 0.1
-    _, _, whole = render(float_device, case, with_depth=True)
+    _, _, whole = chain.render(float_device, case, with_depth=True)
     *actual, _ = in_slabs(float_device, case, limit, part=7)
     assert abs(actual[0] - whole.image.download()).max() < STOP
     backwards = {name: values[::-1] for name, values in rows.items()}
@@ -86,7 +80,7 @@ def test_ties_of_depth_are_drawn_in_the_order_of_rows(float_device, limit):
 def test_what_the_stop_leaves_out_is_within_its_bound(device, name):
     case = cases.gaussians(name)
     case["rows"]["sh_constant"] = case["rows"]["sh_constant"].clip(-1, 1)
-    _, _, whole = render(device, case, with_depth=True)
+    _, _, whole = chain.render(device, case, with_depth=True)
     for limit in (len(whole.visible) // 2, len(whole.visible) // 7 + 1):
         image, _, left, _ = in_slabs(device, case, limit)
         error = abs(image - whole.image.download())
@@ -103,10 +97,10 @@ def test_what_is_drawn_is_in_a_part_that_is_seen(item_device, name):
         case = cases.gaussians(name, seed=seed, count=min(300, 4 * cases.SCENES[name][0]))
         rows = case["rows"]
         rows["positions"] = rows["positions"] * np.float32(1.7)  # many just outside
-        renderer = renderer_of(item_device, case)
-        camera = camera_of(case)
-        frame = renderer.render(upload_rows(item_device, rows), renderer.pack(camera),
-                                *size_of(case), 0)
+        renderer = chain.renderer_of(item_device, case)
+        camera = chain.camera_of(case)
+        frame = renderer.render(chain.upload_rows(item_device, rows), renderer.pack(camera),
+                                *chain.size_of(case), 0)
         seen = {piece.start for piece in Parts.of(rows, 1).seen(camera, case["near"])}
         assert set(frame.visible.download()) <= seen
 

@@ -9,13 +9,7 @@ from clsplat.cli.campaign import combinations, run_campaign
 from clsplat.cli.main import main
 from clsplat.errors import DeviceError, InputError, Interrupted
 from clsplat.io.runs.run import RunFolder, find_runs
-from clsplat.report.compare import (
-    compare,
-    different_table,
-    final_table,
-    levels_from,
-    time_table,
-)
+from clsplat.report import compare
 from clsplat.report.groups import (
     Trained,
     differing,
@@ -79,7 +73,7 @@ def test_options_that_a_schedule_does_not_use_are_left_out():
     assert "sphere" in equal(runs[:1]) and "taming_budget" not in equal(runs[:1])
     longer = grouped([*runs, trained("d", schedule="sig", sphere=False, rounds=12, near=0.5,
                                      taming_budget=15.0)])
-    assert ("sphere", "true", "-", "false") in different_table(longer).rows
+    assert ("sphere", "true", "-", "false") in compare.different_table(longer).rows
 
 
 @pytest.mark.parametrize("change, words", [
@@ -106,7 +100,7 @@ def test_numbers():
     groups = grouped([trained("a", schedule="sig"),
                       trained("b", ((8, 20.0), (16, 26.0)), schedule="sig", seed=1),
                       trained("c", ((10, 23.5), (40, 25.0)), schedule="dash")])
-    result = compare(groups, [22.0, 25.0])
+    result = compare.compare(groups, [22.0, 25.0])
     assert result["equal_seconds"] == 16
     sig, dash = result["groups"]
     assert [run["psnr_cc_at_equal_seconds"] for run in sig["runs"]] == [22.4, 26.0]
@@ -117,7 +111,7 @@ def test_numbers():
     assert dash["deviation"]["psnr_cc"] is None and dash["mean"]["gaussians"] == 2000
     assert result["different"] == ["schedule"] and result["equal"]["opencl_device"] == "H100"
 
-    final, time = final_table(result), time_table(result)
+    final, time = compare.final_table(result), compare.time_table(result)
     # what it costs stands before the scores, and only the main scores have their deviation
     assert final.rows[0] == ("sig", "2", "0, 1", "18.0 ± 2.8", "2,000", "25.00 ± 1.41", "24.00",
                              "0.9000 ± 0.0000", "0.8000")
@@ -130,32 +124,32 @@ def test_costs():
     costs = [{"event": "eval", "psnr_cc": 20.0 + i, "pixel_pairs": i * 10**9} for i in (1, 2)]
     counted = Trained("a", {"schedule": "sig"}, costs, True)
     groups = grouped([counted, trained("b", schedule="dash")])
-    assert [row[5] for row in final_table(compare(groups)).rows] == ["2e+09", "-"]
+    assert [row[5] for row in compare.final_table(compare.compare(groups)).rows] == ["2e+09", "-"]
 
 
 def test_scores_that_only_some_runs_have():
     def heads(*runs):
-        return final_table(compare(grouped(runs))).head
+        return compare.final_table(compare.compare(grouped(runs))).head
 
     run = trained("a", schedule="sig")
     assert heads(run)[4:] == ("gaussians", "PSNR cc, dB", "PSNR, dB", "SSIM cc", "SSIM")
     run.records[-1].update(flip=0.125, flip_cc=0.0625)
     assert heads(run)[8:] == ("SSIM", "FLIP cc", "FLIP")
     groups = grouped([run, trained("b", schedule="dash")])
-    assert [row[9:] for row in final_table(compare(groups)).rows] == [
+    assert [row[9:] for row in compare.final_table(compare.compare(groups)).rows] == [
         ("0.0625", "0.1250"), ("-", "-")]
 
 
 def test_a_run_without_evaluations():
     groups = grouped([trained("a", schedule="sig"), trained("b", (), schedule="dash")])
-    result = compare(groups, [21.0])
+    result = compare.compare(groups, [21.0])
     assert any("not evaluated" in found and "b" in found for found in result["warnings"])
     assert result["equal_seconds"] == 20
-    time = time_table(result)
+    time = compare.time_table(result)
     assert time.rows[1] == ("dash", "0 of 1 runs", "0 of 1 runs")
-    alone = compare(grouped([trained("b", ())]))
+    alone = compare.compare(grouped([trained("b", ())]))
     assert alone["levels"] == [] and alone["equal_seconds"] is None
-    assert time_table(alone).rows[0][1:] == ("0 of 1 runs",)
+    assert compare.time_table(alone).rows[0][1:] == ("0 of 1 runs",)
 
 
 @pytest.mark.parametrize("best, levels", [
@@ -163,7 +157,7 @@ def test_a_run_without_evaluations():
     ([[27.3], [27.4]], [25.0, 26.0, 27.0]), ([[30.0], []], [28.0, 29.0, 30.0]), ([[]], [])])
 def test_levels_from_the_data(best, levels):
     groups = [[(None, [20.0, psnr]) for psnr in group] for group in best]
-    assert levels_from(groups) == levels
+    assert compare.levels_from(groups) == levels
 
 
 @pytest.fixture

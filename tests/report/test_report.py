@@ -11,20 +11,10 @@ from click.testing import CliRunner
 from clsplat.cli.main import main
 from clsplat.io.runs.run import RunFolder
 from clsplat.report import run as run_page
+from clsplat.report import scores
 from clsplat.report.charts import Line, _panel, drawn, score_chart, step_chart
 from clsplat.report.page import Table, full_name, page
 from clsplat.report.run import lead, level_table, write_report
-from clsplat.report.scores import (
-    band,
-    curve,
-    disturbed,
-    is_upheaval,
-    reached,
-    score_table,
-    spread,
-    value_at,
-    with_quality,
-)
 from tests.apps.browser import answer_of, needs_chromium
 from tests.data.made_runs import made_records, made_run
 
@@ -36,38 +26,38 @@ def test_a_curve_keeps_points_with_both_numbers():
     records = [{"event": "eval", "t": 1, "v": 2}, {"event": "step", "t": 2, "v": 3},
                {"event": "eval", "t": 3, "v": None}, {"event": "eval", "t": 4},
                {"event": "eval", "t": 0, "v": 0}]
-    assert [list(part) for part in curve(records, "t", "v", "eval")] == [[1, 0], [2, 0]]
-    assert [list(part) for part in curve(records, "t", "v")] == [[1, 2, 0], [2, 3, 0]]
-    assert [len(part) for part in curve([], "t", "v")] == [0, 0]
+    assert [list(part) for part in scores.curve(records, "t", "v", "eval")] == [[1, 0], [2, 0]]
+    assert [list(part) for part in scores.curve(records, "t", "v")] == [[1, 2, 0], [2, 3, 0]]
+    assert [len(part) for part in scores.curve([], "t", "v")] == [0, 0]
 
 
 def test_values_are_linear_between_points_and_unknown_outside():
-    assert [value_at(LINE, when) for when in (1, 2, 3, 4.5, 5)] == [10, 15, 20, 17, 16]
-    assert [value_at(LINE, when) for when in (0.9, 5.1)] == [None, None]
-    assert value_at(NOTHING, 1) is None
+    assert [scores.value_at(LINE, when) for when in (1, 2, 3, 4.5, 5)] == [10, 15, 20, 17, 16]
+    assert [scores.value_at(LINE, when) for when in (0.9, 5.1)] == [None, None]
+    assert scores.value_at(NOTHING, 1) is None
 
 
 @pytest.mark.parametrize("level, answer", [
     (12.5, (1.5, False)), (20, (3.0, False)), (10, (1.0, True)), (7, (1.0, True)), (20.1, None)])
 def test_when_a_level_is_reached(level, answer):
-    assert reached(LINE, level) == answer
-    assert reached(NOTHING, level) is None
+    assert scores.reached(LINE, level) == answer
+    assert scores.reached(NOTHING, level) is None
 
 
 def test_band():
     other = (np.array([2.0, 6.0]), np.array([11.0, 31.0]))
-    x, mean, low, high = band([LINE, other, NOTHING])
+    x, mean, low, high = scores.band([LINE, other, NOTHING])
     assert list(x) == [2, 3, 5]  # where both are known, at the points of either
     assert list(low) == [11, 16, 16] and list(high) == [15, 20, 26]
     assert list(mean) == [13, 18, 21]
-    assert all(map(np.array_equal, band([LINE])[:2], LINE))
+    assert all(map(np.array_equal, scores.band([LINE])[:2], LINE))
     for apart in ([], [NOTHING], [LINE, (np.array([6.0]), np.array([1.0]))]):
-        assert [len(part) for part in band(apart)] == [0] * 4
+        assert [len(part) for part in scores.band(apart)] == [0] * 4
 
 
 def test_spread():
-    assert spread([1.0, None, 3.0]) == (2.0, pytest.approx(2**0.5))
-    assert spread([4.0]) == (4.0, None) and spread([None]) == (None, None)
+    assert scores.spread([1.0, None, 3.0]) == (2.0, pytest.approx(2**0.5))
+    assert scores.spread([4.0]) == (4.0, None) and scores.spread([None]) == (None, None)
 
 
 def test_table():
@@ -182,7 +172,7 @@ def test_tables_of_a_run():
     assert [row[2] for row in levels.rows] == ["4", "3", "2", "1"]
     assert levels.rows[0][0] == "900" and levels.rows[-1][-1] == "deadline"
     assert level_table([{"event": "level", "level": 2.0}]).rows == [("-", "-", "2", "-", "-")]
-    last = score_table(records).rows[-1]
+    last = scores.score_table(records).rows[-1]
     assert last[0] == "10,000" and float(last[2]) == pytest.approx(float(last[3]) + 0.8, abs=0.011)
 
 
@@ -202,8 +192,8 @@ def evaluations(*steps):
     (((165, GROW), (170, LEVEL)), "photos just became larger"), ((), "")])
 def test_what_lowers_the_scores_is_named_and_marked(steps, words):
     records = evaluations((100, 20.0), *steps, (200, 18.0))
-    upheavals = {r["event"]: r["iteration"] for r in records if is_upheaval(r)}
-    assert disturbed(upheavals, 200) == words
+    upheavals = {r["event"]: r["iteration"] for r in records if scores.is_upheaval(r)}
+    assert scores.disturbed(upheavals, 200) == words
     assert sum(map(len, score_chart(records)["marks"].values())) == len(upheavals)
 
 
@@ -212,7 +202,7 @@ def test_what_lowers_the_scores_is_named_and_marked(steps, words):
     (3.0, "3.00 dB (poor)"), (-2.0, "-2.00 dB (poor)"), (float("inf"), "inf dB (very good)"),
     (float("nan"), "unknown"), (None, "unknown")])
 def test_a_number_and_a_word(psnr, shown):
-    assert with_quality(psnr) == shown
+    assert scores.with_quality(psnr) == shown
 
 
 @pytest.mark.parametrize("scene, run, title", [

@@ -12,14 +12,7 @@ from clsplat.options import resolve
 from clsplat.schedule.plan import Plan, SceneFacts
 from clsplat.schedule.registry import schedule_of
 from clsplat.schedule.steps import scaled_steps
-from clsplat.training.budget import (
-    BYTES_PER_SECOND,
-    GROWTH_RECOVERY,
-    REPORT_SECONDS,
-    RESERVE_SHARE,
-    RESET_RECOVERY,
-    Deadline,
-)
+from clsplat.training import budget
 from clsplat.training.model import checkpoint_bytes
 from clsplat.training.session import Session
 
@@ -40,7 +33,7 @@ class Clock:
         self.now = 3.0  # of loading
 
 
-class Simulated(Deadline):
+class Simulated(budget.Deadline):
     """A Deadline of a session without a device, whose steps take what a Clock says."""
 
     def __init__(self, seconds, clock, **options):
@@ -90,7 +83,7 @@ class Simulated(Deadline):
                 self.save()
         if until:
             return self.made.now
-        self.made.now += self.made.evaluation + REPORT_SECONDS
+        self.made.now += self.made.evaluation + budget.REPORT_SECONDS
         self.save()
         return self.made.now
 
@@ -187,9 +180,9 @@ def test_a_run_never_ends_just_after_an_upheaval(step, seconds, options):
     training.note_change()
     assert training.run() < 1.1 * seconds
     since = {name: training.session.iteration - at for name, at in training.upheavals.items() if at}
-    assert since.get("lowered", RESET_RECOVERY) >= 0.8 * RESET_RECOVERY
-    assert 0.8 * GROWTH_RECOVERY <= min(
-        since.get(name, GROWTH_RECOVERY) for name in ("level", "grown"))
+    assert since.get("lowered", budget.RESET_RECOVERY) >= 0.8 * budget.RESET_RECOVERY
+    assert 0.8 * budget.GROWTH_RECOVERY <= min(
+        since.get(name, budget.GROWTH_RECOVERY) for name in ("level", "grown"))
 
 
 def after_steps(seconds, **options):
@@ -205,8 +198,8 @@ def after_steps(seconds, **options):
 
 
 @pytest.mark.parametrize("left, grows, lowers, stays", [
-    (RESET_RECOVERY, True, True, False), (RESET_RECOVERY - 1, True, False, False),
-    (GROWTH_RECOVERY, True, False, False), (GROWTH_RECOVERY - 1, False, False, True)])
+    (budget.RESET_RECOVERY, True, True, False), (budget.RESET_RECOVERY - 1, True, False, False),
+    (budget.GROWTH_RECOVERY, True, False, False), (budget.GROWTH_RECOVERY - 1, False, False, True)])
 def test_what_needs_time_begins_only_while_there_is_time(left, grows, lowers, stays):
     made = after_steps(0.1)
     made.session.level = 2.0
@@ -239,8 +232,8 @@ def test_evaluations_are_evenly_spaced_and_take_a_tenth_of_the_time():
 @pytest.mark.parametrize("evaluation", [0.6, 60.0, 1e4])
 def test_too_little_is_refused_and_the_cure_is_one(evaluation):
     clock = Clock(by_level, evaluation=evaluation)
-    needed = clock.now + evaluation + REPORT_SECONDS + RESERVE_SHARE + (
-        checkpoint_bytes(COUNT, 3) / BYTES_PER_SECOND)
+    needed = clock.now + evaluation + budget.REPORT_SECONDS + budget.RESERVE_SHARE + (
+        checkpoint_bytes(COUNT, 3) / budget.BYTES_PER_SECOND)
     with pytest.raises(InputError, match=rf"^--time-budget 1s: .*saving once take {needed:.1f} s"
                        ) as caught:
         Simulated(1, clock)

@@ -191,7 +191,7 @@ def test_levels_are_named(city, drift):
         replace(view, camera=view.camera.resized(320, 240)) for view in city.views))
     dense = found(large, iterations=3000)
     assert dense.values["levels"] == (2.0, 1.0)
-    assert "; coarser ones add nothing to dense points; sides" in dense.reasons["levels"]
+    assert "; dense points enter with them; sides" in dense.reasons["levels"]
     result = found(large, iterations=3000, init="sfm")
     assert result.values["levels"] == (3.0, 2.0, 1.0)
     assert result.reasons["levels"] == (

@@ -13,13 +13,7 @@ from clsplat.options import resolve
 from clsplat.stereo.dense_points import stereo_views
 from clsplat.training.part import Survey
 from clsplat.training.progress import SilentProgress
-from clsplat.training.start.initialise import (
-    LEAST_SECONDS,
-    LEAST_STEPS,
-    chosen_start,
-    first_gaussians,
-    start_seconds,
-)
+from clsplat.training.start import initialise
 from clsplat.training.start.prepare import prepare
 from tests.data.tiny_training import CITY, records, resumed, trained
 
@@ -31,7 +25,7 @@ def city():
 
 def start(scene, options):
     survey = Survey(scene, scene.views, options, None)
-    return chosen_start(survey, lambda: stereo_views(scene, scene.views))
+    return initialise.chosen_start(survey, lambda: stereo_views(scene, scene.views))
 
 
 def chosen(scene, **options):
@@ -42,15 +36,16 @@ def chosen(scene, **options):
     ({}, "dense"), ({"schedule": "constant"}, "sfm"), ({"schedule": "mcmc"}, "sfm"),
     ({"preset": "paper"}, "sfm"), ({"preset": "release"}, "sfm"), ({"coarse": True}, "sfm"),
     ({"init": "sfm"}, "sfm"), ({"init": "random"}, "random"),
-    ({"iterations": 32 * LEAST_STEPS}, "dense"), ({"iterations": 32 * LEAST_STEPS - 1}, "sfm"),
+    ({"iterations": 32 * initialise.LEAST_STEPS}, "dense"),
+    ({"iterations": 32 * initialise.LEAST_STEPS - 1}, "sfm"),
     ({"init": "dense", "schedule": "constant"}, "dense"), ({"init": "dense"}, "dense")], ids=str)
 def test_sig_begins_at_dense_points_where_the_run_is_long_enough(city, options, value):
     found, reason = chosen(city, **options)
     assert found == value and reason.startswith(f"{value}: ")
 
 
-@pytest.mark.parametrize("seconds, value", [(32 * LEAST_SECONDS, "dense"),
-                                            (32 * LEAST_SECONDS - 1, "sfm")])
+@pytest.mark.parametrize("seconds, value", [(32 * initialise.LEAST_SECONDS, "dense"),
+                                            (32 * initialise.LEAST_SECONDS - 1, "sfm")])
 def test_a_short_time_budget_begins_at_the_sparse_points(city, seconds, value):
     options = resolve({}, {"time_budget": f"{seconds:g}s", "iterations": 30_000})
     assert start(city, options)[0] == value
@@ -74,15 +69,16 @@ def test_initial_gaussians_are_as_many_as_were_planned(city, float_device, monke
     wanted = prepared.decisions.facts.count
     with monkeypatch.context() as patch:  # they are known by the decisions
         patch.delattr(dense_points_module, "stereo_views")
-        gaussians, seconds, parts = first_gaussians(float_device, prepared, SilentProgress(),
-                                                    enter=False)
+        gaussians, seconds, parts = initialise.first_gaussians(float_device, prepared,
+                                                               SilentProgress(),
+                                                               enter=False)
     assert parts == ()
     assert 0.5 * wanted < gaussians.count <= wanted < len(city.points) and seconds > 0
-    assert 0 < start_seconds(float_device, prepared) < 60
+    assert 0 < initialise.start_seconds(float_device, prepared) < 60
     middle, extent = city.points.mean(axis=0), np.ptp(city.points, axis=0)
     spread = gaussians.positions * prepared.scene.unit - middle
     assert (np.abs(spread) < 2 * extent).all()
-    assert start_seconds(float_device, prepare(city, replace(options, init="sfm"))) == 0
+    assert initialise.start_seconds(float_device, prepare(city, replace(options, init="sfm"))) == 0
 
 
 def test_photos_are_read_during_the_search(city, item_device, tmp_path, monkeypatch):
@@ -113,11 +109,13 @@ def test_photos_are_read_during_the_search(city, item_device, tmp_path, monkeypa
 def test_a_training_begins_there_and_counts_the_time(city, item_device, tmp_path, monkeypatch):
     """The time of dense points is time of the training, also after it was resumed."""
     monkeypatch.setattr(start_module, "first_gaussians",
-                        lambda *given: first_gaussians(*given)._replace(seconds=1e3))
-    run = trained(tmp_path / "run", city, item_device, schedule="sig", iterations=32 * LEAST_STEPS,
+                        lambda *given: initialise.first_gaussians(*given)._replace(seconds=1e3))
+    run = trained(tmp_path / "run", city, item_device, schedule="sig",
+                  iterations=32 * initialise.LEAST_STEPS,
                   init="dense", stop_at=20, levels=(1.0,))
     assert records(run, "plan")[0]["reasons"]["init"].startswith("dense: ")
-    resumed(run, city, item_device, schedule="sig", iterations=32 * LEAST_STEPS, init="dense",
+    resumed(run, city, item_device, schedule="sig", iterations=32 * initialise.LEAST_STEPS,
+            init="dense",
             stop_at=110, levels=(1.0,))
     seconds = [record["train_seconds"] for record in records(run, "step")]
     assert len(seconds) > 1 and 1e3 < seconds[0] < seconds[-1] < 2e3

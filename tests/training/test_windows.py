@@ -18,13 +18,7 @@ from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View
 from tests import cases
 from tests.data.tiny_training import CITY
-from tests.kernels.chain import (
-    camera_of,
-    renderer_of,
-    size_of,
-    stored_degree,
-    upload_rows,
-)
+from tests.kernels import chain
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +59,10 @@ def test_a_part_of_a_photo_shows_what_the_whole_does_there():
 def test_a_render_of_a_part_is_part_of_the_render(device, name):
     """Also where gaussians lie far outside the part: what clamps their Jacobians is the whole."""
     case = cases.gaussians(name)
-    width, height = size_of(case)
+    width, height = chain.size_of(case)
     left, top, right, bottom = window = width // 2, height // 3, width - 3, height - 1
-    renderer, rows, camera = renderer_of(device, case), upload_rows(
-        device, case["rows"]), camera_of(case)
+    renderer, rows, camera = chain.renderer_of(device, case), chain.upload_rows(
+        device, case["rows"]), chain.camera_of(case)
 
     def drawn(camera):
         frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height,
@@ -78,7 +72,7 @@ def test_a_render_of_a_part_is_part_of_the_render(device, name):
     expected = drawn(camera)[:, top:bottom, left:right]
     part = camera.cropped(*window)
     assert abs(drawn(part) - expected).max() < 2e-6 * (1 + abs(expected).max())
-    slabs = SlabRenderer(device, stored_degree(case), case["near"],
+    slabs = SlabRenderer(device, chain.stored_degree(case), case["near"],
                          background=case["background"])
     frame = slabs.render(Parts.of(case["rows"], 16), slabs.pack(part), part.width, part.height,
                          case["degree"])

@@ -24,18 +24,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import reading
-from clsplat.io.models.values import (
-    MIP,
-    OPACITY_STEPS,
-    Notes,
-    Steps,
-    byte_logits,
-    from_smallest_three,
-    gaussians_of,
-    half_turn,
-    smallest_three,
-    stored_rows,
-)
+from clsplat.io.models import values
 from clsplat.io.regular import check_rows, read_regular
 
 HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, SH degree, fractional bits, flags
@@ -49,7 +38,8 @@ COMMENT = 16  # the flag of a comment, which ends with a zero byte; other reader
 ORIGIN = re.compile(rb"origin_of_positions (\S+) (\S+) (\S+)")
 ROTATION_BYTES = {2: 3, 3: 4, 4: 4}  # by the version
 HIGHEST_DEGREE = 3  # of harmonics
-COLOURS, LOG_SCALES, HARMONICS = Steps(0.15 * 255, 127.5), Steps(16, 160), Steps(128, 128)
+COLOURS, LOG_SCALES = values.Steps(0.15 * 255, 127.5), values.Steps(16, 160)
+HARMONICS = values.Steps(128, 128)
 # the least significant bits of harmonics that are zero, so that they compress, as in the reference
 # implementation: of the first degree, of the others
 SH_BUCKETS = (8, 16)
@@ -69,7 +59,7 @@ class _Header(NamedTuple):
     streams: int
 
 
-def write_spz(path: Path, gaussians: Gaussians, notes: Notes) -> None:
+def write_spz(path: Path, gaussians: Gaussians, notes: values.Notes) -> None:
     """Write gaussians as SPZ; see `models.write_model`.
 
     They are sorted along a curve in space. Harmonics whose bytes would all be zero are left out.
@@ -80,10 +70,10 @@ def write_spz(path: Path, gaussians: Gaussians, notes: Notes) -> None:
         file.write(content)
 
 
-def packed_spz(path: Path, gaussians: Gaussians, notes: Notes) -> tuple[bytes, int]:
+def packed_spz(path: Path, gaussians: Gaussians, notes: values.Notes) -> tuple[bytes, int]:
     """The content of a SPZ file, and the degree of its harmonics; `path` is for messages."""
-    rows, origin = stored_rows(gaussians, along_curve=True)
-    rows = half_turn(rows, axis=0)
+    rows, origin = values.stored_rows(gaussians, along_curve=True)
+    rows = values.half_turn(rows, axis=0)
     bits = _fractional_bits(path, rows["positions"], gaussians.log_scales)
     fixed = np.rint(rows["positions"] * 2.0**bits).astype("<i4")
     bucket = np.where(np.arange(rows["sh_rest"].shape[1]) < 3, *SH_BUCKETS)[:, None]
@@ -94,7 +84,7 @@ def packed_spz(path: Path, gaussians: Gaussians, notes: Notes) -> tuple[bytes, i
         degree -= 1
         sh = sh[:, :(degree + 1) ** 2 - 1]
     parts = (fixed.view(np.uint8).reshape(-1, 4)[:, :3],
-             OPACITY_STEPS.bytes(scipy.special.expit(rows["opacity_logits"])),
+             values.OPACITY_STEPS.bytes(scipy.special.expit(rows["opacity_logits"])),
              COLOURS.bytes(rows["sh_constant"]),
              LOG_SCALES.bytes(rows["log_scales"]), _packed_rotations(rows["quaternions"]), sh)
     content = HEADER.pack(MAGIC, VERSION, gaussians.count, degree, bits,
@@ -109,12 +99,13 @@ def packed_spz(path: Path, gaussians: Gaussians, notes: Notes) -> tuple[bytes, i
     return head + packer.compress(content) + packer.flush() + end, degree
 
 
-def read_spz(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, Notes]:
+def read_spz(path: Path, offset: NDArray[np.float64] | None = None
+             ) -> tuple[Gaussians, values.Notes]:
     """Read a SPZ file; see `models.read_with_notes`."""
     with reading(path, "a SPZ file"):
         data = read_regular(path)
-        return (gaussians_of(path, unpacked_spz(data), _origin(data), offset),
-                Notes((MIP,) if _header(data).flags & ANTIALIASED else ()))
+        return (values.gaussians_of(path, unpacked_spz(data), _origin(data), offset),
+                values.Notes((values.MIP,) if _header(data).flags & ANTIALIASED else ()))
 
 
 def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
@@ -132,11 +123,11 @@ def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
         for content, shape in zip(contents, shapes))
     fixed = np.zeros((count, 3, 4), np.uint8)
     fixed[..., 1:] = position.reshape(count, 3, 3)  # the upper bytes keep the sign
-    return half_turn({
+    return values.half_turn({
         "positions": (fixed.view("<i4")[..., 0] >> 8) / 2.0**header.bits,
         "sh_constant": COLOURS.values(colour),
         "sh_rest": HARMONICS.values(sh),
-        "opacity_logits": byte_logits(opacity[:, 0]),
+        "opacity_logits": values.byte_logits(opacity[:, 0]),
         "log_scales": LOG_SCALES.values(scale),
         "quaternions": _rotations(rotation),
     }, axis=0)
@@ -214,7 +205,7 @@ def _fractional_bits(path: Path, positions: NDArray[np.float64], log_scales: NDA
 
 def _packed_rotations(quaternions: NDArray[np.float64]) -> NDArray[np.uint32]:
     """Two bits for the largest of x, y, z, w, then a sign and nine bits for each of the others."""
-    largest, others = smallest_three(quaternions[:, XYZW])
+    largest, others = values.smallest_three(quaternions[:, XYZW])
     packed = largest.astype("<u4")
     for value in others.T:
         size = np.rint(np.abs(value) * np.sqrt(2) * 511).astype(np.uint32)
@@ -230,7 +221,8 @@ def _rotations(data: NDArray[np.uint8]) -> NDArray[np.float64]:
     packed = np.ascontiguousarray(data).view("<u4")[:, 0]
     fields = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], axis=1).astype(np.int64)
     others = (fields & 511) * np.where(fields > 511, -1, 1) / (511 * np.sqrt(2))
-    return np.asarray(from_smallest_three(packed >> 30, others)[:, np.argsort(XYZW)], np.float64)
+    quaternions = values.from_smallest_three(packed >> 30, others)
+    return np.asarray(quaternions[:, np.argsort(XYZW)], np.float64)
 
 
 def _origin(data: bytes) -> NDArray[np.float64]:

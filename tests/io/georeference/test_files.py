@@ -9,17 +9,7 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.georeference import Georeference, Residual
-from clsplat.io.georeference.files import (
-    GEOREFERENCE,
-    ORIENTATION,
-    commented_georeference,
-    placement_comments,
-    read_georeference,
-    read_orientation,
-    write_georeference,
-    write_orientation,
-    write_placement,
-)
+from clsplat.io.georeference import files
 from clsplat.io.models.ply import read_ply, read_vertices, write_ply
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
@@ -35,64 +25,68 @@ HERE = Georeference("EPSG:32614", (587671.0, 3338100.0, 309.0), "GPS of 40 photo
 
 
 def test_a_georeference_is_read_as_it_was_written(tmp_path):
-    assert read_georeference(tmp_path) is None
-    write_georeference(tmp_path, HERE)
-    assert read_georeference(tmp_path) == HERE
+    assert files.read_georeference(tmp_path) is None
+    files.write_georeference(tmp_path, HERE)
+    assert files.read_georeference(tmp_path) == HERE
     assert HERE.to_map([[1, 2, 3]]).tolist() == [[587672, 3338102, 312]]
-    write_georeference(tmp_path, None)
-    assert read_georeference(tmp_path) is None
+    files.write_georeference(tmp_path, None)
+    assert files.read_georeference(tmp_path) is None
 
 
 def test_a_georeference_states_its_errors_for_other_programs(tmp_path):
-    write_georeference(tmp_path, HERE)
-    record = json.loads((tmp_path / GEOREFERENCE).read_text())
+    files.write_georeference(tmp_path, HERE)
+    record = json.loads((tmp_path / files.GEOREFERENCE).read_text())
     assert (record["control_count"], record["check_count"], record["left_out"]) == (2, 0, ["c.jpg"])
     assert record["control_errors"]["east"] == {
         "mean": 2, "sigma": 1, "rms": 2.2361, "within_90": 2.8}
     assert record["control_errors"]["up"]["rms"] == 0.5 and record["check_errors"] == {}
     old = {key: record[key] for key in ("crs", "offset", "source", "residual")}
-    (tmp_path / GEOREFERENCE).write_text(json.dumps(old))
-    assert read_georeference(tmp_path) == Georeference(HERE.crs, HERE.offset, HERE.source, 1.25)
+    (tmp_path / files.GEOREFERENCE).write_text(json.dumps(old))
+    assert files.read_georeference(tmp_path) == Georeference(HERE.crs, HERE.offset, HERE.source,
+                                                             1.25)
 
 
 def test_an_orientation_is_read_as_it_was_written(tmp_path):
-    assert read_orientation(tmp_path) is None
+    assert files.read_orientation(tmp_path) is None
     scene = field().recentred()
-    write_orientation(tmp_path, [0, 0, 2], scene.first_view)
-    up, view = read_orientation(tmp_path)
+    files.write_orientation(tmp_path, [0, 0, 2], scene.first_view)
+    up, view = files.read_orientation(tmp_path)
     assert up.tolist() == [0, 0, 1]
     assert np.allclose(view.position, scene.first_view.position + scene.offset)
     assert np.allclose(view.rotation, scene.first_view.rotation)
-    write_orientation(tmp_path, [0, 1, 0])
-    assert read_orientation(tmp_path)[1] is None
+    files.write_orientation(tmp_path, [0, 1, 0])
+    assert files.read_orientation(tmp_path)[1] is None
 
 
 @pytest.mark.parametrize("name, key, value", [
-    (GEOREFERENCE, "crs", ""), (GEOREFERENCE, "crs", "EPSG:1\nEPSG:2"), (GEOREFERENCE, "crs", 5),
-    (GEOREFERENCE, "offset", [1, 2]), (GEOREFERENCE, "offset", [1, 2, "3"]),
-    (GEOREFERENCE, "source", None), (GEOREFERENCE, "size", "5"),
-    (GEOREFERENCE, "residuals", [5]), (GEOREFERENCE, "residuals", [{"east": 1}]),
-    (GEOREFERENCE, "warnings", "Look."),
-    (ORIENTATION, "up", [0, 0, 0]), (ORIENTATION, "up", "z"), (ORIENTATION, "first_view", 3),
-    (ORIENTATION, "first_view", {"width": 5})])
+    (files.GEOREFERENCE, "crs", ""), (files.GEOREFERENCE, "crs", "EPSG:1\nEPSG:2"),
+    (files.GEOREFERENCE, "crs", 5),
+    (files.GEOREFERENCE, "offset", [1, 2]), (files.GEOREFERENCE, "offset", [1, 2, "3"]),
+    (files.GEOREFERENCE, "source", None), (files.GEOREFERENCE, "size", "5"),
+    (files.GEOREFERENCE, "residuals", [5]), (files.GEOREFERENCE, "residuals", [{"east": 1}]),
+    (files.GEOREFERENCE, "warnings", "Look."),
+    (files.ORIENTATION, "up", [0, 0, 0]), (files.ORIENTATION, "up", "z"),
+    (files.ORIENTATION, "first_view", 3),
+    (files.ORIENTATION, "first_view", {"width": 5})])
 def test_damaged_files_are_named(tmp_path, name, key, value):
-    write_georeference(tmp_path, HERE)
-    write_orientation(tmp_path, [0, 0, 1], field().first_view)
+    files.write_georeference(tmp_path, HERE)
+    files.write_orientation(tmp_path, [0, 0, 1], field().first_view)
+    read = files.read_georeference if name == files.GEOREFERENCE else files.read_orientation
     record = json.loads((tmp_path / name).read_text())
     (tmp_path / name).write_text(json.dumps({**record, key: value}))
     with pytest.raises(InputError, match=f"{name}: not a record"):
-        (read_georeference if name == GEOREFERENCE else read_orientation)(tmp_path)
+        read(tmp_path)
     (tmp_path / name).write_text("{")
     with pytest.raises(InputError, match=f"{name}: not a record"):
-        (read_georeference if name == GEOREFERENCE else read_orientation)(tmp_path)
+        read(tmp_path)
 
 
 def test_comments_of_a_model_name_its_place(tmp_path):
     gaussians = random_gaussians()
     write_ply(tmp_path / "a.ply", gaussians, (1.0, 2.0, 3.0),
-              placement_comments([0.0, 0.01, 0.99995], HERE))
+              files.placement_comments([0.0, 0.01, 0.99995], HERE))
     comments = read_vertices(tmp_path / "a.ply")[1]
-    assert commented_georeference(comments) == Georeference(
+    assert files.commented_georeference(comments) == Georeference(
         HERE.crs, HERE.offset, "comments of the model's file", 0.0)
     text = "\n".join(comments)
     assert "\ncrs EPSG:32614\n" in text and "\nVertical Axis: z\n" in text
@@ -100,9 +94,9 @@ def test_comments_of_a_model_name_its_place(tmp_path):
     assert not any(comment.startswith("offset") for comment in comments)
     # the offset of the map is not subtracted from the positions, that of the local frame is
     assert read_ply(tmp_path / "a.ply").offset.tolist() == [1, 2, 3]
-    assert commented_georeference(placement_comments([0, -1, 0])) is None
+    assert files.commented_georeference(files.placement_comments([0, -1, 0])) is None
     odd = replace(HERE, crs='PROJCRS["Zone 1 \u2013 \\ S\u00fcd"]')
-    assert commented_georeference(placement_comments([0, 0, 1], odd)).crs == odd.crs
+    assert files.commented_georeference(files.placement_comments([0, 0, 1], odd)).crs == odd.crs
 
 
 def test_the_offset_of_older_files_is_still_read(tmp_path):
@@ -118,8 +112,8 @@ def test_scenes_keep_their_place(tmp_path):
     write_scene(tmp_path / "scene")
     plain = read_scene(tmp_path / "scene")
     assert plain.georeference is None and plain.given_up is None
-    write_georeference(tmp_path / "scene", HERE)
-    write_orientation(tmp_path / "scene", [0, 3, 4])
+    files.write_georeference(tmp_path / "scene", HERE)
+    files.write_orientation(tmp_path / "scene", [0, 3, 4])
     scene = read_scene(tmp_path / "scene")
     assert scene.georeference == HERE and scene.up.tolist() == [0, 0.6, 0.8]
     for other in (scene.part([0, 1]), scene.reduced(2), scene.recentred(), scene.normalised()):
@@ -131,12 +125,12 @@ def test_a_run_keeps_what_its_model_needs_of_the_scene(tmp_path):
     scene = replace(read_scene(tmp_path / "scene"), georeference=HERE)
     folder = RunFolder.create(tmp_path / "run")
     folder.write_options({"scene": tmp_path / "scene"})
-    write_placement(folder.path, scene, first_view=True)
+    files.write_placement(folder.path, scene, first_view=True)
     run = Run.open(tmp_path / "run")
     assert run.georeference == HERE and run.up.tolist() == [0, 0, 1]
     assert np.allclose(run.first_view.position, scene.first_view.position + scene.offset)
-    write_placement(folder.path, replace(scene, georeference=None).with_up([0, -1, 0]))
+    files.write_placement(folder.path, replace(scene, georeference=None).with_up([0, -1, 0]))
     assert run.georeference is None and run.up.tolist() == [0, -1, 0]
     assert run.scene().up.tolist() == [0, -1, 0]  # what the user gave outlives the scene's estimate
-    (tmp_path / "run" / ORIENTATION).unlink()  # as in a run of an older version
+    (tmp_path / "run" / files.ORIENTATION).unlink()  # as in a run of an older version
     assert np.allclose(run.first_view.position, run.scene().first_view.position + scene.offset)

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.photos.images import (
-    eight_bits,
-    image_size,
-    read_alpha,
-    read_image,
-    write_image,
-)
+from clsplat.io.photos import images
 from clsplat.io.photos.photo import opened
 
 
@@ -25,27 +19,27 @@ def smooth(height, width):
 
 def test_png_is_exact_and_size_is_width_first(tmp_path):
     pixels = np.random.default_rng(0).integers(0, 256, (17, 31, 3), dtype=np.uint8)
-    write_image(tmp_path / "a.png", pixels)
-    read = read_image(tmp_path / "a.png")
+    images.write_image(tmp_path / "a.png", pixels)
+    read = images.read_image(tmp_path / "a.png")
     assert read.dtype == np.uint8 and np.array_equal(read, pixels)
-    assert image_size(tmp_path / "a.png") == (31, 17)
+    assert images.image_size(tmp_path / "a.png") == (31, 17)
 
 
 def test_float_is_clipped_and_rounded(tmp_path):
     pixels = np.array([[[-1.0, 0.5, 2.0], [np.nan, 0.1, 254.6 / 255]]], np.float32)
-    write_image(tmp_path / "a.png", pixels)
-    assert read_image(tmp_path / "a.png").tolist() == [[[0, 128, 255], [0, 26, 255]]]
+    images.write_image(tmp_path / "a.png", pixels)
+    assert images.read_image(tmp_path / "a.png").tolist() == [[[0, 128, 255], [0, 26, 255]]]
 
 
 def test_jpeg_quality_and_bytes_source(tmp_path):
     pixels = smooth(40, 64)
     for quality in (30, 96):
-        write_image(tmp_path / f"{quality}.jpg", pixels, quality=quality)
+        images.write_image(tmp_path / f"{quality}.jpg", pixels, quality=quality)
     fine, coarse = ((tmp_path / f"{q}.jpg").read_bytes() for q in (96, 30))
     assert len(fine) > len(coarse)
-    assert np.abs(read_image(fine).astype(int) - pixels).mean() < 1
-    assert image_size(fine) == (64, 40)
-    write_image(tmp_path / "again.jpg", pixels, quality=96)
+    assert np.abs(images.read_image(fine).astype(int) - pixels).mean() < 1
+    assert images.image_size(fine) == (64, 40)
+    images.write_image(tmp_path / "again.jpg", pixels, quality=96)
     assert (tmp_path / "again.jpg").read_bytes() == fine
 
 
@@ -66,8 +60,8 @@ def area_mean(pixels, size):
 @pytest.mark.parametrize("size", [(15, 10), (31, 7), (60, 40)])
 def test_resampling_is_the_mean_over_the_covered_area(tmp_path, size):
     pixels = np.random.default_rng(1).integers(0, 256, (30, 45, 3), dtype=np.uint8)
-    write_image(tmp_path / "a.png", pixels)
-    read = read_image(tmp_path / "a.png", size)
+    images.write_image(tmp_path / "a.png", pixels)
+    read = images.read_image(tmp_path / "a.png", size)
     assert read.shape == (size[1], size[0], 3) and read.flags.c_contiguous
     assert np.abs(read - area_mean(pixels, size)).max() <= 0.5 + 1e-3
 
@@ -76,49 +70,50 @@ def test_resampling_is_the_mean_over_the_covered_area(tmp_path, size):
 @pytest.mark.parametrize("suffix", ["jpg", "tif"])
 def test_truncated_is_refused(tmp_path, suffix, share):
     path = tmp_path / f"photo.{suffix}"
-    write_image(path, np.random.default_rng(2).integers(0, 256, (64, 48, 3), dtype=np.uint8))
+    images.write_image(path, np.random.default_rng(2).integers(0, 256, (64, 48, 3), dtype=np.uint8))
     data = path.read_bytes()
     path.write_bytes(data[:int(len(data) * share)])
     with pytest.raises(InputError, match=f"photo.{suffix}") as caught:
-        read_image(path)
+        images.read_image(path)
     assert "\n" not in str(caught.value)
 
 
 def test_not_an_image(tmp_path):
     (tmp_path / "text.jpg").write_text("hello " * 99)
     for path in (tmp_path / "text.jpg", tmp_path / "missing.jpg", tmp_path):
-        for function in (read_image, image_size):
+        for function in (images.read_image, images.image_size):
             with pytest.raises(InputError, match=path.name):
                 function(path)
     with pytest.raises(InputError, match="encoded image"):
-        read_image(b"hello " * 99)
+        images.read_image(b"hello " * 99)
 
 
 def test_arrays_are_photos():
     grey = np.arange(12, dtype=np.uint16).reshape(3, 4) * 5000
     with opened(grey) as photo:
         assert photo.is_deep and (photo.width, photo.height) == (4, 3) and not photo.has_alpha
-    assert np.array_equal(read_image(grey)[..., 1], np.rint(grey / 257))
-    assert np.array_equal(read_image(grey, levels=(0, 55000))[..., 2], np.rint(grey / 55000 * 255))
+    assert np.array_equal(images.read_image(grey)[..., 1], np.rint(grey / 257))
+    assert np.array_equal(images.read_image(grey, levels=(0, 55000))[..., 2],
+                          np.rint(grey / 55000 * 255))
     with_alpha = np.random.default_rng(0).random((3, 4, 4), np.float32) * 2 - 0.5
     with_alpha[0, 0, 0] = np.nan
-    assert np.array_equal(read_image(with_alpha), eight_bits(with_alpha[..., :3]))
-    assert np.array_equal(read_alpha(with_alpha), eight_bits(with_alpha[..., 3]))
+    assert np.array_equal(images.read_image(with_alpha), images.eight_bits(with_alpha[..., :3]))
+    assert np.array_equal(images.read_alpha(with_alpha), images.eight_bits(with_alpha[..., 3]))
     for wrong in (np.zeros((3, 4, 5), np.uint8), np.zeros((3, 4)), np.zeros(3, np.uint8)):
         with pytest.raises(InputError, match="give uint8, uint16 or float32"):
-            read_image(wrong)
+            images.read_image(wrong)
 
 
 def test_unwritable(tmp_path):
     pixels = smooth(4, 4)
     with pytest.raises(InputError, match="nowhere"):
-        write_image(tmp_path / "nowhere" / "a.png", pixels)
+        images.write_image(tmp_path / "nowhere" / "a.png", pixels)
     with pytest.raises(InputError, match="a.xyz"):
-        write_image(tmp_path / "a.xyz", pixels)
+        images.write_image(tmp_path / "a.xyz", pixels)
 
 
 def test_a_full_temporary_folder_is_named(tmp_path, monkeypatch):
     """Else OpenImageIO would report success."""
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1 << 19))
     with pytest.raises(InputError, match="a.jpg: the folder for temporary files, .* is near"):
-        write_image(tmp_path / "a.jpg", smooth(4, 4))
+        images.write_image(tmp_path / "a.jpg", smooth(4, 4))

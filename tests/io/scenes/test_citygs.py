@@ -8,12 +8,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.scenes.read import read_scene
-from tests.data.layouts import (
-    assert_same_cameras,
-    every_fourth,
-    world_points,
-    write_citygs,
-)
+from tests.data import layouts
 from tests.data.tiny_model import reconstruction, write_scene
 
 CITY = Path(__file__).resolve().parents[3] / "data_samples/city"
@@ -22,7 +17,7 @@ HELD_OUT = {"000.jpg", "012.jpg", "028.jpg"}
 
 @pytest.fixture(scope="module")
 def city():
-    return every_fourth(read_scene(CITY))
+    return layouts.every_fourth(read_scene(CITY))
 
 
 def name(old):
@@ -31,10 +26,10 @@ def name(old):
 
 @pytest.mark.parametrize("photos", ["images", "rgbs"])
 def test_both_parts_share_one_world(tmp_path, city, photos):
-    write_citygs(tmp_path, city, HELD_OUT, photos)
+    layouts.write_citygs(tmp_path, city, HELD_OUT, photos)
     scene = read_scene(tmp_path)
-    assert_same_cameras(scene, city, name)
-    np.testing.assert_allclose(world_points(scene), world_points(city), atol=1e-9)
+    layouts.assert_same_cameras(scene, city, name)
+    np.testing.assert_allclose(layouts.world_points(scene), layouts.world_points(city), atol=1e-9)
     assert np.array_equal(scene.colours, city.colours)
     assert scene.held_out == {f"val/{old}" for old in HELD_OUT}
     assert scene.path == tmp_path and scene.name == tmp_path.name

@@ -10,11 +10,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.scenes.read import read_scene
-from tests.data.layouts import (
-    assert_same_cameras,
-    every_fourth,
-    write_mega_nerf,
-)
+from tests.data import layouts
 
 ROOT = Path(__file__).resolve().parents[3]
 HELD_OUT = {"004.jpg", "024.jpg"}  # the second and the seventh
@@ -28,7 +24,7 @@ def load(path, map_location, weights_only):
 
 @pytest.fixture(scope="module")
 def city():
-    return every_fourth(read_scene(ROOT / "data_samples/city"))
+    return layouts.every_fourth(read_scene(ROOT / "data_samples/city"))
 
 
 def save_json(table, path):
@@ -50,16 +46,16 @@ def described(folder, stub):
 
 def test_cameras_and_held_out_views(tmp_path, city):
     folder = tmp_path / "rubble"
-    write_mega_nerf(folder, city, HELD_OUT, save_json)
+    layouts.write_mega_nerf(folder, city, HELD_OUT, save_json)
     assert described(folder, tmp_path) == "train: 6 photos\nval: 2 photos\n"
     scene = read_scene(folder)
-    assert_same_cameras(scene, city, name)
+    layouts.assert_same_cameras(scene, city, name)
     assert scene.held_out == {name(old) for old in HELD_OUT}
     assert scene.path == folder and scene.name == "rubble" and len(scene.points) == 4000
 
 
 def test_a_folder_that_is_not_converted_is_refused_with_the_command(tmp_path, city):
-    write_mega_nerf(tmp_path, city, HELD_OUT, save_json)
+    layouts.write_mega_nerf(tmp_path, city, HELD_OUT, save_json)
     with pytest.raises(InputError, match=r"a Mega-NeRF folder.*from_mega_nerf\.py") as caught:
         read_scene(tmp_path)
     assert len(str(caught.value).splitlines()) == 1

@@ -15,16 +15,7 @@ from clsplat.io.scenes import transforms
 from clsplat.io.scenes.posed import sample_points
 from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
-from tests.data.layouts import (
-    assert_same_cameras,
-    camera_angle,
-    every_fourth,
-    world_points,
-    write_json,
-    write_model,
-    write_splits,
-    write_transforms,
-)
+from tests.data import layouts
 
 CITY = Path(__file__).resolve().parents[3] / "data_samples/city"
 HELD_OUT = {"004.jpg", "016.jpg"}
@@ -32,7 +23,7 @@ HELD_OUT = {"004.jpg", "016.jpg"}
 
 @pytest.fixture(scope="module")
 def city():
-    return every_fourth(read_scene(CITY))
+    return layouts.every_fourth(read_scene(CITY))
 
 
 def images(name):
@@ -42,15 +33,16 @@ def images(name):
 def changed(folder, table, **changes):
     """Write transforms.json with changed values; None removes a key."""
     table = {**table, **changes}
-    write_json(folder / "transforms.json", {k: v for k, v in table.items() if v is not None})
+    layouts.write_json(folder / "transforms.json",
+                       {k: v for k, v in table.items() if v is not None})
     return folder
 
 
 def test_nerfstudio(tmp_path, city):
-    write_transforms(tmp_path, city)
+    layouts.write_transforms(tmp_path, city)
     scene = read_scene(tmp_path)
-    assert_same_cameras(scene, city, images)
-    np.testing.assert_allclose(world_points(scene), world_points(city), atol=1e-9)
+    layouts.assert_same_cameras(scene, city, images)
+    np.testing.assert_allclose(layouts.world_points(scene), layouts.world_points(city), atol=1e-9)
     assert np.array_equal(scene.colours, city.colours)
     assert scene.held_out is None and scene.observations is None
     assert scene.path == tmp_path and scene.name == tmp_path.name
@@ -58,13 +50,14 @@ def test_nerfstudio(tmp_path, city):
 
 
 def test_angle_of_view_and_names_without_suffix(tmp_path, city):
-    table = write_transforms(tmp_path, city)
+    table = layouts.write_transforms(tmp_path, city)
     frames = [{**frame, "file_path": "./" + frame["file_path"].removesuffix(".jpg")}
               for frame in table["frames"]]
-    write_json(tmp_path / "transforms.json", {**camera_angle(city), "frames": frames})
-    assert_same_cameras(read_scene(tmp_path), city, images)
-    write_json(tmp_path / "transforms.json", {
-        **camera_angle(city), "camera_angle_y": 1.2, "frames": frames})
+    layouts.write_json(tmp_path / "transforms.json",
+                       {**layouts.camera_angle(city), "frames": frames})
+    layouts.assert_same_cameras(read_scene(tmp_path), city, images)
+    layouts.write_json(tmp_path / "transforms.json", {
+        **layouts.camera_angle(city), "camera_angle_y": 1.2, "frames": frames})
     focal = read_scene(tmp_path).views[0].camera.focal
     np.testing.assert_allclose(focal[1], 120 / np.tan(0.6))
 
@@ -72,7 +65,7 @@ def test_angle_of_view_and_names_without_suffix(tmp_path, city):
 def test_rounded_rotations_far_from_the_origin(tmp_path, city):
     """Six digits of a rotation, at UTM coordinates: cameras stay where the file says."""
     far = replace(city, offset=city.offset + (5e5, 5e6, 300))
-    table = write_transforms(tmp_path, far)
+    table = layouts.write_transforms(tmp_path, far)
     for frame in table["frames"]:
         matrix = np.array(frame["transform_matrix"])
         matrix[:3, :3] = matrix[:3, :3].round(6)
@@ -85,40 +78,41 @@ def test_rounded_rotations_far_from_the_origin(tmp_path, city):
 
 
 def test_matrixcity_splits(tmp_path, city):
-    scene = read_scene(write_splits(tmp_path, city, HELD_OUT))
+    scene = read_scene(layouts.write_splits(tmp_path, city, HELD_OUT))
 
     def name(old):
         return f"test/block_1_test/{old}" if old in HELD_OUT else f"train/block_1/{old}"
 
-    assert_same_cameras(scene, city, name)
+    layouts.assert_same_cameras(scene, city, name)
     assert scene.held_out == {name(old) for old in HELD_OUT}
     train, test = scene.split(8)
     assert {view.name for view in test} == scene.held_out and len(train) == 6
 
 
 def test_points_of_a_colmap_model_that_nerfstudio_rotated(tmp_path, city):
-    table = write_transforms(tmp_path, city)
+    table = layouts.write_transforms(tmp_path, city)
     (tmp_path / "sparse_pc.ply").unlink()
     some = np.arange(0, 400)
-    write_model(tmp_path / "colmap/sparse/0", city, city.views, some)
+    layouts.write_model(tmp_path / "colmap/sparse/0", city, city.views, some)
     scene = read_scene(changed(tmp_path, table, ply_file_path=None))
-    np.testing.assert_allclose(world_points(scene), world_points(city)[some], atol=1e-9)
+    np.testing.assert_allclose(layouts.world_points(scene), layouts.world_points(city)[some],
+                               atol=1e-9)
     assert np.array_equal(scene.colours, city.colours[some])
     turn = [[1, 0, 0, 5], [0, 0, 1, 0], [0, -1, 0, 0]]
     scene = read_scene(changed(tmp_path, table, ply_file_path=None, applied_transform=turn,
                                applied_scale=2.0))
-    x, y, z = world_points(city)[some].T
-    np.testing.assert_allclose(world_points(scene), 2 * np.stack([x + 5, z, -y], axis=1),
+    x, y, z = layouts.world_points(city)[some].T
+    np.testing.assert_allclose(layouts.world_points(scene), 2 * np.stack([x + 5, z, -y], axis=1),
                                atol=1e-9)
 
 
 def test_points_are_sampled_where_two_cameras_look(tmp_path, city, caplog):
-    table = write_transforms(tmp_path, city)
+    table = layouts.write_transforms(tmp_path, city)
     (tmp_path / "sparse_pc.ply").unlink()
     with caplog.at_level(logging.WARNING):
         scene = read_scene(changed(tmp_path, table, ply_file_path=None))
     assert "no sparse points: 4000 are sampled" in caplog.text
-    assert_same_cameras(scene, city, images)
+    layouts.assert_same_cameras(scene, city, images)
     sees = np.zeros(len(scene.points), int)
     for view in scene.views:
         pixels, depths = view.camera.project(scene.points)
@@ -164,7 +158,7 @@ def first(**changes):
     ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR", 6),
     ({"camera_model": "SIMPLE_RADIAL", "k1": 0}, None, 1)])
 def test_lenses(tmp_path, city, change, model, views):
-    table = write_transforms(tmp_path, city)
+    table = layouts.write_transforms(tmp_path, city)
     scene = read_scene(changed(tmp_path, table, **change))
     assert len(scene.views) == views * len(city.views)
     lens = scene.views[0].lens
@@ -174,7 +168,7 @@ def test_lenses(tmp_path, city, change, model, views):
 
 
 def test_masks_that_frames_name(tmp_path, city):
-    table = write_transforms(tmp_path, city)
+    table = layouts.write_transforms(tmp_path, city)
     changed(tmp_path, table, **first(mask_path="stencils/a.png")(table))
     (tmp_path / "stencils").mkdir()
     camera = city.views[0].camera
@@ -214,7 +208,7 @@ def posed(change):
     (posed(lambda m: 2 * m), "not 0 0 0 1"), (posed(lambda m: m[:2]), "3x4 or 4x4"),
 ])
 def test_unusable_scenes(tmp_path, city, change, words):
-    table = write_transforms(tmp_path, city)
+    table = layouts.write_transforms(tmp_path, city)
     changed(tmp_path, table, **(change(table) if callable(change) else change))
     refused(tmp_path, words)
 
