@@ -1,7 +1,5 @@
 """`clsplat.city`: train a large scene in blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path

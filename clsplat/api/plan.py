@@ -1,7 +1,5 @@
 """`clsplat.plan`: the decisions of a training, and a forecast of its memory and time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from os import PathLike
 

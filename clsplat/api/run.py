@@ -1,7 +1,5 @@
 """`clsplat.Run`: a run that is continued, evaluated and shown in notebooks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from os import PathLike

@@ -1,7 +1,5 @@
 """The paths of a film's camera: over the site, along the photos, around the scene, or as given."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Films: frames of a model along a camera's path, as H.264 or as PNG files."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable
 from fractions import Fraction

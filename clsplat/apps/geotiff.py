@@ -5,8 +5,6 @@ overviews are averages of what is known. Only this module has rasterio, whose GD
 coordinate reference system (CRS) as other programs read it.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator, Mapping

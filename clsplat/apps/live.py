@@ -1,7 +1,5 @@
 """What the live pages show: a finished run, and a training while it goes on."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from functools import partial

@@ -1,8 +1,6 @@
 """The map of a run: orthophoto and surface as GeoTIFF, contour lines and a picture, and a
 statement of how exact it is."""
 
-from __future__ import annotations
-
 import json
 import math
 import warnings

@@ -1,8 +1,6 @@
 """The tiles of a map: colours, heights and what is known, as seen from straight above; and a coarse
 drawing of a scene and its surroundings, made before the map, of where it can show anything."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -10,8 +10,6 @@ scene if it has no georeference. Content of glTF has y up, and a viewer turns it
 The content is compressed as SPZ, which CesiumJS needs to draw splats.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The training of a city's blocks: of one from its folder, and of all, as jobs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -5,8 +5,6 @@
         --resources device=1        # one for each device, named as in `clsplat train --device`
 """
 
-from __future__ import annotations
-
 import logging
 import socket
 import time

@@ -4,8 +4,6 @@ A job may be started any number of times and continues where it stopped: what it
 that ends with its process.
 """
 
-from __future__ import annotations
-
 import multiprocessing.util
 import os
 import socket

@@ -6,8 +6,6 @@ many gaussians, which `decimated` merges; the tops of the blocks likewise. So ho
 block, and of the others only their tops.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

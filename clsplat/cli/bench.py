@@ -1,7 +1,5 @@
 """`clsplat bench`: the time of a training step."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

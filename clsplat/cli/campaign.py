@@ -3,8 +3,6 @@
 A run is the folder OUTPUT/SCHEDULE.SEED. The same command again continues an interrupted campaign.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

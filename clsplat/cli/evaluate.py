@@ -1,7 +1,5 @@
 """`clsplat eval` and `compare`: the scores of a run, and runs side by side."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any

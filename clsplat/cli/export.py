@@ -1,7 +1,5 @@
 """`clsplat export`: a run's gaussians in a format that other programs open."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`clsplat film`: a flight through a run."""
 
-from __future__ import annotations
-
 import re
 from fractions import Fraction
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`clsplat georeference`: a scene in metres and map coordinates."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """The command `clsplat`: its subcommands, and how errors are reported to the user."""
 
-from __future__ import annotations
-
 import math
 import signal
 import sys

@@ -1,7 +1,5 @@
 """`clsplat map`: the orthophoto, the surface model and the contour lines of a run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

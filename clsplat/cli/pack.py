@@ -1,7 +1,5 @@
 """`clsplat pack`: a scene with its photos in a folder of its own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

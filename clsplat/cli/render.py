@@ -1,7 +1,5 @@
 """`clsplat render`: pictures of a model from a scene's cameras."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

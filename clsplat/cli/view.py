@@ -1,7 +1,5 @@
 """`clsplat view`: look at a run's model in the browser, drawn by clsplat."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -4,8 +4,6 @@ To keep the most important gaussians instead, by what they contribute to the tra
 holes where many faint ones lay over each other (docs/guide/edit.md has the measurement).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -10,8 +10,6 @@ cameras and points show as up. Thus good heights level the scene, and bad ones n
 scale it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ compared with the vertical that photos show, and with what the same positions wo
 were exchanged, mirrored or had other heights.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ of depth (slabs.py), for which nodes are read as often as they are needed: the o
 keeps what it has room for.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

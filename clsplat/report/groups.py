@@ -1,7 +1,5 @@
 """Groups of runs that differ only by seed, and whether comparing the groups is fair."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence

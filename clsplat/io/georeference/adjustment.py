@@ -7,8 +7,6 @@ point whose marks then still miss it has wrong coordinates, and is left out (Baa
 the worst first). Check points take no part, so they show how right the result is.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass

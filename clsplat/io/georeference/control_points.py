@@ -3,8 +3,6 @@
 docs/guide/georeference.md has the format.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass

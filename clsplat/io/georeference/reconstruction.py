@@ -1,7 +1,5 @@
 """Gives a COLMAP reconstruction its place on the earth: metres, east, north and up."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Georeferences a scene folder with a COLMAP model: writes the same scene in other coordinates."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Collection

@@ -8,8 +8,6 @@ float32; a node stands behind its children. The index comes last: a line of JSON
 the nodes. All is little endian. The file is written beside its place and renamed when it is whole.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -4,8 +4,6 @@ A reader translates cameras to COLMAP's models and axes, exactly or not at all; 
 built as that of a COLMAP model is.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

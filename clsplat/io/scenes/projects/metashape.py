@@ -13,8 +13,6 @@ these scaled to the angle from the axis (`fisheye`),
 and so y', with p1 and p2 exchanged: p1 is OpenCV's p2. The sparse points are not in the file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree

@@ -8,8 +8,6 @@ photo in any size. The distortion of `brown` is in OpenCV's order, also in OpenS
 its documentation leaves a square out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

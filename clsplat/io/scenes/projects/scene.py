@@ -1,8 +1,6 @@
 """What the readers of other programs' projects have in common: photos, wherever they were moved,
 and the scene that is built of them."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
