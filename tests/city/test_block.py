@@ -16,7 +16,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder, read_exposures
-from clsplat.io.scenes.read import fingerprint, read_scene
+from clsplat.io.scenes.read import fingerprint
 from clsplat.options import resolve
 from clsplat.partition import blocks
 from clsplat.partition.region import Region, Space
@@ -24,15 +24,10 @@ from clsplat.response import Response
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.registry import OURS
 from clsplat.training.parts.exposures import PhotoResponses
-from tests.data.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, options_of, trained
+from tests.data.tiny_training import EVENTFUL, LEVELLED, model_digest, options_of, trained
 
 SHORT = {"iterations": 61, "densify_until": 61, "test_every": 0}
 KEEPS = {"checkpoint_every": 0, "reset_every": 0, "eval_every": 0}
-
-
-@pytest.fixture(scope="module")
-def city():
-    return read_scene(CITY)
 
 
 def region_of(scene, share, margin=0.0):

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from clsplat.io.runs.run import RunFolder
-from clsplat.io.scenes.read import read_scene
 from clsplat.schedule.registry import OURS
 from clsplat.training.loop import Training
 from clsplat.training.step import Step
-from tests.data.tiny_training import CITY, LEVELLED, STILL, options_of
+from tests.data.tiny_training import LEVELLED, STILL, options_of
 
 STEPS = 30
 MOST = 20  # launches and fills of a step of the group form
@@ -18,11 +17,6 @@ MOST = 20  # launches and fills of a step of the group form
 # on; each further degree would be other programs with the same launches
 ALL_ON = {"iterations": STEPS, "exposure": "on", "vignetting": "on", "sh_degree": 1,
           "sh_every": 1, "densify_until": 10**6, **STILL}
-
-
-@pytest.fixture(scope="module")
-def city():
-    return read_scene(CITY)
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import read_poses
-from clsplat.io.scenes.read import read_scene
 from clsplat.optimise.pose import WARM_UP
 from clsplat.options import resolve
 from clsplat.placement.corrections import (
@@ -18,15 +17,10 @@ from clsplat.placement.corrections import (
     typical_depth,
     without_common_motion,
 )
-from tests.data.tiny_training import CITY, STILL, options_of, trained
+from tests.data.tiny_training import STILL, options_of, trained
 
 FOCAL = 69.3  # pixels, of the city at a quarter of its size
 OPTIONS = {"poses": "on", "downscale": 4.0, "exposure": "off", **STILL}
-
-
-@pytest.fixture(scope="module")
-def city():
-    return read_scene(CITY)
 
 
 @pytest.mark.slow

@@ -5,12 +5,11 @@ import weakref
 import numpy as np
 import pytest
 
-from clsplat.io.scenes.read import read_scene
 from clsplat.training import capacity, photos
 from clsplat.training import step as steps
 from clsplat.training.step import Step
 from tests.city.test_block import block_of, trained_block
-from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
+from tests.data.tiny_training import LEVELLED, model_digest, records, trained
 
 STEPS = {"iterations": 40, "densify_from": 10, "densify_every": 10, "densify_until": 40,
          "reset_every": 25, "sh_degree": 1, "sh_every": 15, "exposure": "on"}
@@ -23,11 +22,6 @@ TRAININGS = {
     "sig batch": {**LEVELS, "batch": 2},
     "block": {**STEPS, "schedule": "constant", "test_every": 0},
 }
-
-
-@pytest.fixture(scope="module")
-def city():
-    return read_scene(CITY)
 
 
 @pytest.fixture
