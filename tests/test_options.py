@@ -21,6 +21,7 @@ from clsplat.options import (
 )
 from clsplat.schedule.registry import OURS, schedule_of
 from clsplat.schedule.sig import PAPER, RELEASE
+from tests.refusals import refused
 from tests.test_layout import ROOT
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
@@ -88,10 +89,9 @@ def test_an_option_s_flag_if_it_has_one_and_its_key_agree(name, toml):
     if name in FLAGS:
         assert parse(*arguments)[0] == {name: value}
     else:
-        with pytest.raises(InputError) as caught:
-            invoke(*arguments)
-        assert str(caught.value) == (f"{arguments[0]}: is a key of the file of --config and no "
-                                     f"flag; write {name} = VALUE there")
+        assert refused(lambda: invoke(*arguments)) == (
+            f"{arguments[0]}: is a key of the file of --config and no flag; write {name} = VALUE "
+            "there")
     written = {True: "true", False: "false"}.get(value) if isinstance(value, bool) else (
         f'"{value}"' if isinstance(value, str) else str(list(value))
         if isinstance(value, tuple) else str(value))
@@ -154,11 +154,7 @@ def test_a_training_has_at_most_42_flags():
 ])
 def test_a_wrong_file_is_one_line_that_names_it(text, message, toml):
     path = toml(text)
-    with pytest.raises(InputError) as caught:
-        resolve(from_toml(path), {})
-    assert str(caught.value).startswith(f"{path}: ") and message in str(caught.value)
-    assert "\n" not in str(caught.value)
-
+    assert refused(lambda: resolve(from_toml(path), {}), message).startswith(f"{path}: ")
 
 
 def test_choices_set_what_there_is_to_legal_values():
@@ -220,9 +216,7 @@ def test_an_option_of_another_schedule_is_refused(name, schedule):
     if schedule in only:
         resolve({}, {"schedule": schedule, name: value})
         return
-    with pytest.raises(InputError) as caught:
-        resolve({}, {"schedule": schedule, name: value})
-    assert str(caught.value) == (
+    assert refused(lambda: resolve({}, {"schedule": schedule, name: value})) == (
         f"{shown_name(field)}: has no effect with --schedule {schedule}; leave it out, or use "
         f"--schedule {' or '.join(only)}")
     assert getattr(resolve({}, {"schedule": schedule, name: field.default}), name) == field.default
@@ -232,13 +226,10 @@ def test_an_option_of_another_schedule_is_refused(name, schedule):
     ((4, 2), "4,2"), ((1, 2, 4), "1,2,4"), ((4, 4, 1), "4,4,1"), ((2, 4, 1), "2,4,1"),
     ((2.5, 1, 1), "2.5,1,1"), ((3,), "3")])
 def test_levels_that_do_not(levels, shown):
-    with pytest.raises(InputError) as caught:
-        resolve({}, {"levels": levels})
     said = "expects auto or factors that fall and end at 1, such as 4,2,1"
-    assert str(caught.value) == f"option 'levels' {said}, got {levels}"
-    with pytest.raises(InputError) as caught:
-        invoke("--levels", shown)
-    assert str(caught.value) == f"--levels {shown}: {said}"
+    assert refused(lambda: resolve({}, {"levels": levels})) == (
+        f"option 'levels' {said}, got {levels}")
+    assert refused(lambda: invoke("--levels", shown)) == f"--levels {shown}: {said}"
 
 
 @pytest.mark.parametrize("arguments, expected", [
@@ -263,9 +254,7 @@ def test_seconds_of_a_time_budget(text, seconds):
 @pytest.mark.parametrize("text", ["0", "-5m", "m", "s", "10 minutes", "1h30m", "nan", "inf", "infh",
                                   "2d", " ", "10M"])
 def test_what_is_no_time_is_refused(text):
-    with pytest.raises(InputError) as caught:
-        resolve({}, {"time_budget": text})
-    assert str(caught.value) == (
+    assert refused(lambda: resolve({}, {"time_budget": text})) == (
         "option 'time-budget' expects none or a number of seconds, or one with s, m or "
         f"h such as 10m, got {text!r}")
 

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from clsplat.cli.campaign import combinations, run_campaign
 from clsplat.cli.main import main
-from clsplat.errors import DeviceError, InputError, Interrupted
+from clsplat.errors import DeviceError, Interrupted
 from clsplat.io.runs.run import RunFolder, find_runs
 from clsplat.report import compare
 from clsplat.report.groups import (
@@ -19,6 +19,7 @@ from clsplat.report.groups import (
     warnings,
 )
 from tests.data.made_runs import METHODS, made_run
+from tests.refusals import refused
 from tests.report.test_report import Balanced
 
 
@@ -29,13 +30,6 @@ def trained(name, points=((10, 20.0), (20, 24.0)), finished=True, **options):
                 "ssim_cc": 0.9} for number, (seconds, psnr) in enumerate(points, 1)]
     facts = {"scene": "/data/city", "fingerprint": "ab" * 32, "opencl_device": "H100", "seed": 0}
     return Trained(name, {**facts, **options}, records, finished)
-
-
-def refused(call, *words):
-    with pytest.raises(InputError) as caught:
-        call()
-    for word in words:
-        assert word in str(caught.value)
 
 
 def test_runs_that_differ_by_seed_are_one_group():

@@ -64,19 +64,6 @@ def test_stopped_and_resumed(item_device, city, tmp_path, whole, stops):
 
 
 @pytest.mark.slow
-def test_batches_stopped_and_resumed(item_device, city, tmp_path):
-    """28 training views are no multiple of 3: epochs end within a step, exposures are recentred
-    there, and what is drawn goes by the view, not by the step."""
-    options = {**LEVELLED, "batch": 3, "iterations": 40, "vignetting": "on"}
-    whole = trained(tmp_path / "whole", city, item_device, **options)
-    run = trained(tmp_path / "run", city, item_device, **options, stop_at=10)
-    for stop in (25, 0):
-        resumed(run, city, item_device, **options, stop_at=stop)
-    assert model_digest(run) == model_digest(whole)
-    assert history(run) == history(whole)
-
-
-@pytest.mark.slow
 def test_crashed_and_resumed(item_device, city, tmp_path, whole, monkeypatch):
     """Steps after the last checkpoint are taken again, and recorded once."""
     take = Step.run
@@ -140,16 +127,19 @@ def test_a_run_keeps_the_levels_that_an_earlier_version_chose(item_device, city,
 
 
 EVENTFUL = {"iterations": 60, "densify_until": 50, "densify_from": 5, "densify_every": 7}
-BASELINES = {"dash": {"downscale": 4.0}, "taming": {"taming_budget": 1.5},
-             "mcmc": {"mcmc_growth": 0.2, "max_gaussians": 9000}}
+# 28 training views are no multiple of 3: epochs end within a step, exposures are recentred there,
+# and what is drawn goes by the view, not by the step
+SCHEDULES = {"sig": {**LEVELLED, "batch": 3, "iterations": 40, "vignetting": "on"},
+             "dash": {**EVENTFUL, "downscale": 4.0}, "taming": {**EVENTFUL, "taming_budget": 1.5},
+             "mcmc": {**EVENTFUL, "mcmc_growth": 0.2, "max_gaussians": 9000}}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("schedule", BASELINES)
-def test_baselines_stopped_and_resumed(item_device, city, tmp_path, schedule):
-    options = {"schedule": schedule, **EVENTFUL, **BASELINES[schedule]}
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_schedules_stopped_and_resumed(item_device, city, tmp_path, schedule):
+    options = {"schedule": schedule, **SCHEDULES[schedule]}
     whole = trained(tmp_path / "whole", city, item_device, **options)
-    assert len(records(whole, "grow")) > 3
+    assert schedule == "sig" or len(records(whole, "grow")) > 3
     assert schedule != "dash" or len({record["level"] for record in whole.records()}) > 1
     run = trained(tmp_path / "run", city, item_device, **options, stop_at=13)
     for stop in (36, 0):

@@ -19,6 +19,7 @@ from clsplat.io.models.formats import SUFFIXES, count_of, read_model, write_mode
 from clsplat.io.models.gltf import write_spz_glb
 from clsplat.io.models.values import half_turn
 from tests.io.models.test_ply import UTM, random_gaussians
+from tests.refusals import refused
 
 POINTS = (".las", ".laz")
 # largest errors of positions (share of the extent), log scales, rotations (radians), colours,
@@ -175,9 +176,7 @@ def test_damage_is_one_line(tmp_path, suffix):
     data = path.read_bytes()
     for cut in (0, 7, len(data) // 2 + 1, len(data) - 1):
         path.write_bytes(data[:cut])
-        with pytest.raises(InputError) as caught:
-            read_model(path)
-        assert path.name in str(caught.value) and "\n" not in str(caught.value)
+        refused(lambda: read_model(path), path.name)
     path.unlink()
     with pytest.raises(InputError, match="no such file"):
         read_model(path)
@@ -265,9 +264,7 @@ def test_another_place_of_the_buffer_and_damage(tmp_path):
     compare(read_model(path), gaussians, BOUNDS[".spz"])
     for change in ({"byteOffset": 8}, {"byteOffset": -1}, {"byteLength": 30}, {"buffer": 1}):
         changed(path, {**document, "bufferViews": [{**view, **change}]}, content)
-        with pytest.raises(InputError, match="a.glb: not a binary glTF") as caught:
-            read_model(path)
-        assert "\n" not in str(caught.value)
+        refused(lambda: read_model(path), "a.glb: not a binary glTF")
     turned = {**document["nodes"][0], "name": "of another program"}
     changed(path, {**document, "nodes": [turned]}, content)
     with pytest.raises(InputError, match="a node turns, scales or moves others"):

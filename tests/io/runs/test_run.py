@@ -15,6 +15,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.runs.run import RunFolder
+from tests.refusals import refused
 
 ARRAYS = {"positions": np.arange(12, dtype=np.float32).reshape(4, 3),
           "adam/first": np.full((4, 3), np.pi), "count": np.array(7, np.uint32),
@@ -25,15 +26,6 @@ STATE = {"iteration": 500, "random": {"state": 2**127 + 1}, "best": 0.1, "level"
 @pytest.fixture
 def run(tmp_path):
     return RunFolder.create(tmp_path / "out" / "run")
-
-
-def refused(call, *words):
-    with pytest.raises(InputError) as caught:
-        call()
-    message = str(caught.value)
-    assert "\n" not in message
-    for word in words:
-        assert word in message, message
 
 
 def same(loaded):

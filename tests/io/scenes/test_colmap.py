@@ -6,23 +6,16 @@ import numpy as np
 import pycolmap
 import pytest
 
-from clsplat.errors import InputError
 from clsplat.io.photos.images import write_image
 from clsplat.io.scenes.colmap import read_colmap
 from clsplat.io.scenes.colmap_files import CAMERA_MODELS
 from clsplat.io.scenes.read import fingerprint, read_scene
+from tests import refusals
 from tests.data.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, write_scene
 
 
 def refused(path, *words):
-    """The one-line message that refuses a scene, which contains all of the words."""
-    with pytest.raises(InputError) as caught:
-        read_scene(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    for word in words:
-        assert word in message, message
-    return message
+    refusals.refused(lambda: read_scene(path), *words)
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -188,7 +181,7 @@ def test_photos(tmp_path):
     photo = folder / "images" / "photo_1.png"
     for width, height in ((24, 18), (36, 48), (48, 30)):
         write_image(photo, np.zeros((height, width, 3), np.uint8))
-        refused(folder, "photo_1.png", "--images", f"{width}x{height}", "48x36")
+        refused(folder, "photo_1.png", "--images", f"{width}x{height}", "48x36", "put back")
     photo.write_bytes(b"")
     refused(folder, "photo_1.png", "not an image")
     for number in (1, 3):
@@ -197,7 +190,7 @@ def test_photos(tmp_path):
 
 
 def test_no_model(tmp_path):
-    refused(tmp_path, str(tmp_path), "no COLMAP model")
+    refused(tmp_path, str(tmp_path), "no COLMAP model", "docs/guide/photos.md")
     refused(tmp_path / "nowhere", "nowhere", "no such scene")
     (tmp_path / "town.zip").write_bytes(b"")
     refused(tmp_path / "town.zip", "town.zip", "not a scene")
