@@ -22,7 +22,7 @@ from clsplat.evaluation.views import evaluate_views
 from clsplat.options import seconds_of
 from clsplat.schedule.plan import Plan
 from clsplat.training.model import checkpoint_bytes
-from clsplat.training.recorder import EVALUATIONS, Clock
+from clsplat.training.recorder import EVALUATION_SHARE, EVALUATIONS, Clock
 from clsplat.training.session import Session
 
 ESTIMATE_SHARE = 0.005  # of the budget between two estimates
@@ -33,7 +33,6 @@ BYTES_PER_SECOND = 100e6  # assumed for checkpoint and model before the first is
 RESERVE_SHARE = 0.005  # of the budget, for the unforeseen
 RESET_RECOVERY = 150  # steps that must be left after an opacity reset
 GROWTH_RECOVERY = 50  # steps that must be left after growth or a new level
-EVALUATION_SHARE = 0.1  # of the budget at most
 MOST_OVERHEAD = 0.5  # share of the budget that all but training may take
 
 

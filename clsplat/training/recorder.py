@@ -20,7 +20,7 @@ from clsplat.training.step import Measured
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
 LOG_EVERY = 100
 EVALUATIONS = 8  # in a run, by default
-EVALUATION_SHARE = 1 / 8  # of the time so far that evaluations may take
+EVALUATION_SHARE = 1 / 8  # of the time, so far or of a budget, that evaluations may take
 FIRST_SECONDS = 0.5  # assumed of an evaluation before the first one
 # Share of the rows between two records above which training stops. Good runs skip none, and a few
 # broken gaussians cause some in a million. A skipped gaussian does not change, and its neighbours
