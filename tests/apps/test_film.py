@@ -14,11 +14,11 @@ from clsplat.apps.camera_path import (
     turntable,
 )
 from clsplat.cli.main import main
-from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.photos.images import read_image
 from clsplat.options import TrainOptions
 from tests.data import ground_model as made
+from tests.refusals import refused
 
 SIZE = (64, 48)
 
@@ -95,10 +95,8 @@ def test_a_camera_path_is_read(tmp_path):
     ([opengl((1, 2, 3))], {"fl_x": 0, "w": 100}), ([opengl((1, 2, 10**400))], {}),
 ])
 def test_a_damaged_camera_path_is_refused(tmp_path, frames, more):
-    with pytest.raises(InputError, match="not a camera path"):
-        read_camera_path(camera_path(tmp_path, *frames, **more))
-    with pytest.raises(InputError, match="none.json"):
-        read_camera_path(tmp_path / "none.json")
+    refused(lambda: read_camera_path(camera_path(tmp_path, *frames, **more)), "not a camera path")
+    refused(lambda: read_camera_path(tmp_path / "none.json"), "none.json")
 
 
 @pytest.fixture

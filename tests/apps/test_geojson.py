@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.apps.edit import read_polygons
-from clsplat.errors import InputError
+from tests.refusals import refused
 
 RING = [[0, 0], [4, 0, 7.5], [4, 4], [0, 0]]
 
@@ -47,12 +47,9 @@ def test_the_crs_of_older_files(tmp_path):
     polygon([[0, 0], [1e300, 0], [1, 1]]), {"type": "Feature"},
     {"type": "MultiPolygon", "coordinates": [7]}, '{"type":' * 3000])
 def test_what_is_no_polygon(tmp_path, record):
-    with pytest.raises(InputError, match="area.geojson: not GeoJSON, damaged or"):
-        read(tmp_path, record)
+    refused(lambda: read(tmp_path, record), "area.geojson: not GeoJSON, damaged or")
 
 
 def test_without_polygons(tmp_path):
-    with pytest.raises(InputError, match="has no polygon"):
-        read(tmp_path, {"type": "FeatureCollection", "features": []})
-    with pytest.raises(InputError, match="no such file"):
-        read_polygons(tmp_path / "missing.geojson")
+    refused(lambda: read(tmp_path, {"type": "FeatureCollection", "features": []}), "has no polygon")
+    refused(lambda: read_polygons(tmp_path / "missing.geojson"), "no such file")

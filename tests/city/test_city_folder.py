@@ -26,6 +26,7 @@ from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.partition.region import Region, Space
 from clsplat.response import Response
 from tests.data.tiny_training import CITY
+from tests.refusals import refused
 
 VIEWS = [3, 9, 8, 11]  # in no order
 WEST = Region(Space(np.eye(3), np.zeros(3), np.ones(3)), high=[0.0, np.inf, np.inf], margin=0.1)
@@ -168,8 +169,7 @@ def test_a_block_that_is_there_is_left_alone(city, scene, gaussians):
     assert written(city, scene, gaussians).path == block.path
     assert block.initial.stat().st_mtime_ns == before and (block.path / "run").exists()
     city.write_partition({"method": "another"})
-    with pytest.raises(InputError, match="holds a block of another partition"):
-        written(city, scene, gaussians)
+    refused(lambda: written(city, scene, gaussians), "holds a block of another partition")
     assert (block.path / "run").exists()
 
 
@@ -191,12 +191,9 @@ def test_damaged_files(city, scene, gaussians, name, text):
 
 
 def test_what_is_missing_is_named(tmp_path):
-    with pytest.raises(InputError, match="block.json: no such file; give a folder CITY/blocks"):
-        BlockFolder(tmp_path).check()
-    with pytest.raises(InputError, match=r"partition.json: no such file; make it with `clsplat p"):
-        CityFolder(tmp_path).identity()
-    with pytest.raises(InputError, match=r"city.json: no such file; give a folder that"):
-        CityFolder(tmp_path).read()
+    refused(BlockFolder(tmp_path).check, "block.json: no such file; give a folder CITY/blocks")
+    refused(CityFolder(tmp_path).identity, "partition.json: no such file; make it with `clsplat p")
+    refused(CityFolder(tmp_path).read, "city.json: no such file; give a folder that")
 
 
 def test_a_city_begins_in_a_folder_of_its_own(tmp_path):
@@ -206,8 +203,7 @@ def test_a_city_begins_in_a_folder_of_its_own(tmp_path):
         (folder.path / name).mkdir(parents=True)
     folder.check_free()
     (folder.path / "images").mkdir()
-    with pytest.raises(InputError, match="holds images, but no city"):
-        folder.check_free()
+    refused(folder.check_free, "holds images, but no city")
 
 
 def test_visits_travel_with_the_block(city, scene, gaussians):

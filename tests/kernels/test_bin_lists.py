@@ -4,28 +4,14 @@ pairs that are larger than needed, just large enough or too small."""
 import numpy as np
 import pytest
 
-from clsplat.constants import (
-    COUNT_BUCKETS,
-    COUNT_FAILED,
-    COUNT_MOST_PAIRS,
-    COUNT_NEEDED_PAIRS,
-    COUNT_PAIRS,
-    COUNT_SUM_PAIRS,
-    COUNT_VISIBLE,
-    FRAME_COUNTS,
-    PER_ITEM,
-    SPLAT_CONIC,
-    SPLAT_DEPTH,
-    SPLAT_EXTENT_Y,
-    SPLAT_MEAN,
-)
+from clsplat import constants
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering import bin
 from clsplat.rendering.bin import HAS_BUCKETS, TooManyPairs, bin_splats
 from tests.kernels.test_bin import Binned, check, is_in_order, rows_of
 
 GROUP = 64  # of 32, Intel's compiler crashes
-RUN = GROUP * PER_ITEM  # pairs that a group sorts at once
+RUN = GROUP * constants.PER_ITEM  # pairs that a group sorts at once
 UNWRITTEN = 2**32 - 7
 
 
@@ -39,14 +25,14 @@ def shuffled(rows, seed=0, depths=None):
     rng = np.random.default_rng(seed)
     rows = rows[rng.permutation(len(rows))]
     if depths is not None:
-        rows[:, SPLAT_DEPTH] = rng.choice(depths, len(rows))
-    return rows, np.argsort(rows[:, SPLAT_DEPTH].astype(np.float32), kind="stable")
+        rows[:, constants.SPLAT_DEPTH] = rng.choice(depths, len(rows))
+    return rows, np.argsort(rows[:, constants.SPLAT_DEPTH].astype(np.float32), kind="stable")
 
 
 def specks(count, column, row, seed=0):
     """Splats in the middle of one tile, all of whose pixels they are far from leaving."""
     rows = rows_of(count, 16, 16, seed, sigma=(0.3, 0.5))
-    rows[:, SPLAT_MEAN:SPLAT_MEAN + 2] = 16 * column + 8, 16 * row + 8
+    rows[:, constants.SPLAT_MEAN:constants.SPLAT_MEAN + 2] = 16 * column + 8, 16 * row + 8
     return rows
 
 
@@ -71,7 +57,8 @@ def test_longer_lists_are_merged(device, small_groups, count):
 
 
 def test_the_devices_own_groups_sort_long_lists(device):
-    for count in (1, PER_ITEM) if device.scan_group < 256 else (2047, 2048, 2049, 4096, 5000, 9000):
+    for count in (1, constants.PER_ITEM) if device.scan_group < 256 else (2047, 2048, 2049, 4096,
+                                                                          5000, 9000):
         rows, order = shuffled(specks(count, 0, 1, seed=count))
         binned = Binned(device, rows, 32, 32, order)
         is_in_order(binned, order, f"{count} pairs")
@@ -95,7 +82,7 @@ def test_equal_depths_keep_the_order_of_rows(device, small_groups):
 
 def giants(rows, chosen):
     """The same rows, of which `chosen` are larger than any image."""
-    rows[chosen, SPLAT_CONIC:SPLAT_EXTENT_Y + 1] = 1e-9, 0, 1e-9, 1e5
+    rows[chosen, constants.SPLAT_CONIC:constants.SPLAT_EXTENT_Y + 1] = 1e-9, 0, 1e-9, 1e5
     return rows
 
 
@@ -155,10 +142,10 @@ def test_a_room_that_is_large_enough_changes_nothing(device, monkeypatch, more):
     assert all((values[exact.count:] == UNWRITTEN).all() for values in lists)
     assert np.array_equal(pairs.ranges.download(), exact.ranges)
     assert np.array_equal(pairs.offsets.download(), exact.offsets)
-    assert counts[COUNT_PAIRS] == counts[COUNT_MOST_PAIRS] == exact.count
-    assert counts[COUNT_VISIBLE] == 130 and not counts[COUNT_FAILED]
+    assert counts[constants.COUNT_PAIRS] == counts[constants.COUNT_MOST_PAIRS] == exact.count
+    assert counts[constants.COUNT_VISIBLE] == 130 and not counts[constants.COUNT_FAILED]
     if HAS_BUCKETS.of(device):
-        buckets, number = pairs.bucket_tiles.download(), counts[COUNT_BUCKETS]
+        buckets, number = pairs.bucket_tiles.download(), counts[constants.COUNT_BUCKETS]
         lengths = np.diff(exact.ranges)[:, 0]
         expected = np.repeat(np.arange(len(lengths)), -(-lengths // device.bucket))
         assert np.array_equal(buckets[:number], expected) and not buckets[number:].any()
@@ -170,19 +157,21 @@ def test_a_room_that_is_too_small_fails_the_frame(device, monkeypatch, fewer):
     rows, order = shuffled(rows_of(130, 61, 37))
     needed = Binned(device, rows, 61, 37, order).count
     pairs, counts, lists = in_a_room(device, monkeypatch, rows, order, needed - fewer)
-    assert counts[COUNT_FAILED] == 1 and counts[COUNT_NEEDED_PAIRS] == needed
-    assert counts[COUNT_VISIBLE] == counts[COUNT_PAIRS] == counts[COUNT_BUCKETS] == 0
-    assert counts[COUNT_MOST_PAIRS] == needed and not counts[COUNT_SUM_PAIRS]
+    assert counts[constants.COUNT_FAILED] == 1 and counts[constants.COUNT_NEEDED_PAIRS] == needed
+    for nothing in (constants.COUNT_VISIBLE, constants.COUNT_PAIRS, constants.COUNT_BUCKETS):
+        assert counts[nothing] == 0
+    assert counts[constants.COUNT_MOST_PAIRS] == needed and not counts[constants.COUNT_SUM_PAIRS]
     assert not np.diff(pairs.ranges.download().astype(int)).any()
     assert all((values == UNWRITTEN).all() for values in lists)
 
 
 def test_the_sum_of_pairs_has_64_bits(device, monkeypatch):
     rows, order = shuffled(rows_of(130, 61, 37))
-    counts, values = new_counts(device), np.zeros(FRAME_COUNTS, np.uint32)
-    values[[COUNT_VISIBLE, COUNT_SUM_PAIRS, COUNT_SUM_PAIRS + 1]] = 130, 2**32 - 10, 4
+    counts, values = new_counts(device), np.zeros(constants.FRAME_COUNTS, np.uint32)
+    low = constants.COUNT_SUM_PAIRS
+    values[[constants.COUNT_VISIBLE, low, low + 1]] = 130, 2**32 - 10, 4
     counts.write(values)
     for frames in (1, 2):
         found = in_a_room(device, monkeypatch, rows, order, 5000, counts)[1]
-        assert (int(found[COUNT_SUM_PAIRS]) + (int(found[COUNT_SUM_PAIRS + 1]) << 32)
-                == 5 * 2**32 - 10 + frames * int(found[COUNT_PAIRS]))
+        assert (int(found[low]) + (int(found[low + 1]) << 32)
+                == 5 * 2**32 - 10 + frames * int(found[constants.COUNT_PAIRS]))

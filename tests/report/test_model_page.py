@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from clsplat.constants import SH_C0
-from clsplat.errors import InputError
 from clsplat.estimate.trial_steps import sampled
 from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.views import render_view
@@ -21,6 +20,7 @@ from clsplat.report.model_page import encoded, write_page
 from tests.apps.browser import answer_of, needs_chromium, picture_of
 from tests.apps.test_models import run_with
 from tests.estimate.test_plan import city, clsplat_
+from tests.refusals import refused
 
 __all__ = ["city"]
 PICTURE = 'return page.document.getElementById("picture").toDataURL();'
@@ -134,11 +134,9 @@ def test_the_first_view_is_in_the_frame_of_the_model(tmp_path, city):
 def test_what_cannot_be_a_page_is_refused(tmp_path, city, monkeypatch):
     model = colourful(city, 50)
     empty = replace(model, rows={name: values[:0] for name, values in model.rows.items()})
-    with pytest.raises(InputError, match="holds no gaussians"):
-        written(tmp_path / "page.html", city, empty)
+    refused(lambda: written(tmp_path / "page.html", city, empty), "holds no gaussians")
     monkeypatch.setattr(page_module, "LARGEST_PAGE", 10_000)
-    with pytest.raises(InputError, match="more than browsers open"):
-        written(tmp_path / "page.html", city, model)
+    refused(lambda: written(tmp_path / "page.html", city, model), "more than browsers open")
     assert not list(tmp_path.iterdir())
 
 

@@ -13,10 +13,11 @@ from clsplat.io.photos.views import read_photo
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.partition.blocks import find_windows
-from clsplat.partition.region import Region, Space, world_of
+from clsplat.partition.region import world_of
 from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View
 from tests import cases
+from tests.city.test_block import region_of
 from tests.data.tiny_training import CITY
 from tests.kernels import chain
 
@@ -29,14 +30,6 @@ def scene():
 @pytest.fixture(scope="module")
 def gaussians(scene):
     return Gaussians.from_points(scene.points, scene.colours, 0)
-
-
-def region_of(scene, share, margin=0.1):
-    """The Region that owns about the first `share` of a scene's points along x."""
-    world = scene.points + scene.offset
-    space = Space(np.eye(3), world.mean(axis=0), np.ptp(world, axis=0) / 2)
-    return Region(space, high=[np.quantile(space.to(world)[:, 0], share), np.inf, np.inf],
-                  margin=margin)
 
 
 CAMERA = Camera(640, 480, (500.0, 510.0), (321.0, 244.0), np.eye(3), np.zeros(3))
@@ -96,7 +89,7 @@ def test_a_photo_is_read_in_part(tmp_path):
 
 
 def test_windows_hold_what_the_region_reaches(scene, gaussians):
-    region = region_of(scene, 0.3)
+    region = region_of(scene, 0.3, 0.1)
     windows = find_windows(gaussians, scene, region, scene.views)
     reached = region.reaches(world_of(scene, gaussians.positions))
     assert len(windows) > 20
@@ -132,7 +125,7 @@ def block(scene, gaussians, tmp_path):
     city.path.mkdir(parents=True, exist_ok=True)
     city.write({"fingerprint": fingerprint(scene)})
     city.write_partition({"method": "by hand"})
-    return city.write_block(0, scene, [3, 8], region_of(scene, 0.3),
+    return city.write_block(0, scene, [3, 8], region_of(scene, 0.3, 0.1),
                             {scene.views[3].name: (16, 32, 128, 160)}, gaussians, None, {},
                             city.identity())
 

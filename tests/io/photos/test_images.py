@@ -9,6 +9,7 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.io.photos import images
 from clsplat.io.photos.photo import opened
+from tests.refusals import refused
 
 
 def smooth(height, width):
@@ -84,8 +85,7 @@ def test_not_an_image(tmp_path):
         for function in (images.read_image, images.image_size):
             with pytest.raises(InputError, match=path.name):
                 function(path)
-    with pytest.raises(InputError, match="encoded image"):
-        images.read_image(b"hello " * 99)
+    refused(lambda: images.read_image(b"hello " * 99), "encoded image")
 
 
 def test_arrays_are_photos():
@@ -106,10 +106,8 @@ def test_arrays_are_photos():
 
 def test_unwritable(tmp_path):
     pixels = smooth(4, 4)
-    with pytest.raises(InputError, match="nowhere"):
-        images.write_image(tmp_path / "nowhere" / "a.png", pixels)
-    with pytest.raises(InputError, match="a.xyz"):
-        images.write_image(tmp_path / "a.xyz", pixels)
+    refused(lambda: images.write_image(tmp_path / "nowhere" / "a.png", pixels), "nowhere")
+    refused(lambda: images.write_image(tmp_path / "a.xyz", pixels), "a.xyz")
 
 
 def test_a_full_temporary_folder_is_named(tmp_path, monkeypatch):

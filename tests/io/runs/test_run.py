@@ -225,8 +225,7 @@ def test_a_link_to_a_model_is_removed_and_the_model_stays(tmp_path):
 def test_a_folder_without_a_run_is_not_overwritten(tmp_path, name):
     """Another program's files may have the same names."""
     (tmp_path / name).write_text(json.dumps({"colour": "blue"}))
-    with pytest.raises(InputError, match="no run that clsplat wrote"):
-        RunFolder.create(tmp_path, overwrite=True)
+    refused(lambda: RunFolder.create(tmp_path, overwrite=True), "no run that clsplat wrote")
     assert (tmp_path / name).exists()
 
 
@@ -241,8 +240,7 @@ def test_a_run_whose_options_are_damaged_is_overwritten(tmp_path, damaged):
 def test_a_city_is_not_overwritten_by_a_run(tmp_path, overwrite):
     run = made(tmp_path / "run")
     (run.path / "city.json").write_text("{}")
-    with pytest.raises(InputError, match="holds a city"):
-        RunFolder.create(run.path, overwrite=overwrite)
+    refused(lambda: RunFolder.create(run.path, overwrite=overwrite), "holds a city")
     assert run.has_model
 
 
