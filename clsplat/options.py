@@ -21,16 +21,8 @@ from clsplat.config.option import (
 )
 from clsplat.densify.options import GrowthOptions
 from clsplat.errors import InputError
+from clsplat.loss import options as loss
 from clsplat.loss.options import REGISTERED as PARTS
-from clsplat.loss.options import (
-    DepthOptions,
-    ExposureOptions,
-    ImageLossOptions,
-    PartOptions,
-    RegulariseOptions,
-    ReprojectOptions,
-    RobustOptions,
-)
 from clsplat.optimise.options import OptimiseOptions, PoseOptions
 from clsplat.rendering.options import RenderingOptions
 from clsplat.schedule.mcmc import McmcOptions
@@ -132,13 +124,13 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class ScheduledOptions(TamingOptions, McmcOptions, GrowthOptions, SigOptions, OptimiseOptions,
-                       ReprojectOptions, ImageLossOptions, RenderingOptions, RunOptions):
+                       loss.ReprojectOptions, loss.ImageLossOptions, RenderingOptions, RunOptions):
     """What a schedule and a step read, which see neither photos nor files."""
 
 
 @dataclass(frozen=True)
-class TrainOptions(PoseOptions, DepthOptions, RobustOptions, ExposureOptions, RegulariseOptions,
-                   SceneOptions, PartOptions, ScheduledOptions):
+class TrainOptions(PoseOptions, loss.DepthOptions, loss.RobustOptions, loss.ExposureOptions,
+                   loss.RegulariseOptions, SceneOptions, loss.PartOptions, ScheduledOptions):
     """Everything that decides a training; defaults are those of Kerbl et al. (2023).
 
     Its bases are the groups that concerns and parts declare. A function takes the group that it
