@@ -52,7 +52,7 @@ def test_however_a_frame_is_cut_its_bytes_are_the_same(device, monkeypatch, name
     tiles_x, tiles_y = tile_grid(device, *size_of(case))
     for cut, firsts in cuts(tiles_x, tiles_y).items():
         bands = [range(*ends) for ends in zip(firsts, [*firsts[1:], tiles_x * tiles_y])]
-        monkeypatch.setattr("clsplat.rendering.pipeline.choose_bands", lambda *_: bands)  # noqa: B023
+        monkeypatch.setattr("clsplat.rendering.blend.choose_bands", lambda *_: bands)  # noqa: B023
         frame, actual = results(device, case, with_depth, pair_limit=0)
         assert frame.pairs is None and frame.bands == bands, cut
         assert_same(expected, actual)

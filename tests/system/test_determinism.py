@@ -36,7 +36,7 @@ def cut_in_bands(patch, share):
         numbers.append(len(bands))
         return bands
 
-    patch.setattr("clsplat.rendering.pipeline.pair_limit", lambda *_: 0)
+    patch.setattr("clsplat.rendering.blend.pair_limit", lambda *_: 0)
     for module in ("clsplat.rendering.pipeline", "clsplat.training.capacity"):
         patch.setattr(f"{module}.choose_bands", chosen)
     return numbers
