@@ -37,7 +37,7 @@ def cut_in_bands(patch, share):
         return bands
 
     patch.setattr("clsplat.rendering.blend.pair_limit", lambda *_: 0)
-    for module in ("clsplat.rendering.pipeline", "clsplat.training.capacity"):
+    for module in ("clsplat.rendering.blend", "clsplat.training.capacity"):
         patch.setattr(f"{module}.choose_bands", chosen)
     return numbers
 
