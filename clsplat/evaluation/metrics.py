@@ -57,6 +57,9 @@ def ssim(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> float:
     if valid is not None:
         whole = scipy.ndimage.minimum_filter(valid, SSIM_WINDOW, mode="constant", cval=0)
         counted = whole if whole.any() else valid
+        # 0 where no such window reads: a product multiplies what lies beyond by 0, also a nan
+        read = scipy.ndimage.maximum_filter(counted, SSIM_WINDOW)[:, :, None]
+        image, photo = np.where(read, image, 0), np.where(read, photo, 0)
     channels = zip(np.moveaxis(np.asarray(image), 2, 0), np.moveaxis(np.asarray(photo), 2, 0))
     return float(np.mean([_ssim_map(_float64(x), _float64(y))[counted].mean()
                           for x, y in channels]))

@@ -73,9 +73,10 @@ def test_only_pixels_that_count_count(photo):
     noisy = photo + np.random.default_rng(2).normal(0, 0.05, photo.shape)
     part, valid = (slice(20, 60), slice(10, 50)), np.zeros(photo.shape[:2], bool)
     valid[part] = True
-    spoilt = np.where(valid[..., None], noisy, 7)
-    assert psnr(spoilt, photo, valid) == pytest.approx(psnr(noisy[part], photo[part]))
-    assert ssim(spoilt, photo, valid) == pytest.approx(ssim(noisy[part], photo[part]))
+    for other in (7, np.nan):
+        spoilt = np.where(valid[..., None], noisy, other)
+        assert psnr(spoilt, photo, valid) == pytest.approx(psnr(noisy[part], photo[part]))
+        assert ssim(spoilt, photo, valid) == pytest.approx(ssim(noisy[part], photo[part]))
     every = np.ones_like(valid)
     assert ssim(noisy, photo, every) == pytest.approx(ssim(noisy, photo))
     valid[:] = False
