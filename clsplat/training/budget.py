@@ -83,7 +83,7 @@ class Deadline:
 
     def note_saved(self, seconds: float) -> None:
         """Note the seconds that a checkpoint took."""
-        self._rate = max(self._saved_bytes() / max(seconds, 1e-3), 1e6)
+        self._rate = max(self._saved_bytes(self.session.step.count) / max(seconds, 1e-3), 1e6)
 
     def note_evaluated(self, seconds: float) -> None:
         """Note the seconds that an evaluation took."""
@@ -137,11 +137,13 @@ class Deadline:
 
     def _reserve(self) -> float:
         """Seconds to reserve for evaluations to come, files and the page."""
-        return (self._evaluation * (1 + self._pending) + self._saved_bytes() / self._rate
+        # also of the gaussians that have not entered yet (parts/entering_points.py)
+        count = max(self.session.step.count, self.session.schedule.facts.count)
+        return (self._evaluation * (1 + self._pending) + self._saved_bytes(count) / self._rate
                 + REPORT_SECONDS + RESERVE_SHARE * self._seconds)
 
-    def _saved_bytes(self) -> int:
-        return checkpoint_bytes(self.session.step.count, self.session.options.sh_degree)
+    def _saved_bytes(self, count: int) -> int:
+        return checkpoint_bytes(count, self.session.options.sh_degree)
 
     def _seconds_at(self, level: float, power: int = 1) -> float:
         """Seconds of a step. For a level without measurement, that of the nearest level times a

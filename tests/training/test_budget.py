@@ -247,3 +247,14 @@ def test_time_that_is_left_is_not_used_for_more_steps_than_are_worth_taking():
     training = Simulated(240, Clock(by_level))
     training.session.decisions.most_steps = 500
     assert training.run() < 0.5 * 240 and training.session.iteration == 500
+
+
+def test_files_of_gaussians_that_will_enter_have_their_time():
+    """They are 64 times as large as those of a level of 8."""
+    training = Simulated(240, Clock(by_level))
+    whole, training.session.step.count = training._reserve(), COUNT // 64
+    assert training._reserve() == whole
+    training.note_saved(checkpoint_bytes(COUNT // 64, 3) / budget.BYTES_PER_SECOND)
+    assert training._reserve() == pytest.approx(whole)
+    training.session.step.count = 2 * COUNT
+    assert training._reserve() > whole

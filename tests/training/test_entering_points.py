@@ -1,5 +1,6 @@
 """Dense points enter with the levels: how many, where, and with what was trained."""
 
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from clsplat.io.scenes.read import read_scene
 from clsplat.schedule.plan import Plan
+from clsplat.training.parts import entering_points
 from clsplat.training.parts.entering_points import FEWEST, EnteringPoints
 from tests.data.tiny_training import CITY, model_digest, records, resumed, trained
 from tests.schedule.driven_sig import FACTS
@@ -41,6 +43,27 @@ def test_each_level_has_a_quarter_of_the_points_of_the_next():
         assert np.allclose(coarse.log_scales - np.median(fine.log_scales), np.log(2), atol=0.3)
         assert (coarse.max_offsets > 1.5 * np.median(fine.max_offsets)).all()
     assert part.facts(FACTS, None, (), first).count == SIDE**2
+
+
+def test_nobody_waits_for_gaussians_of_a_training_that_failed(monkeypatch):
+    """Whose errors are raised where they are asked for."""
+    begun, ends = threading.Event(), threading.Event()
+
+    def slow(points, options, gaussians=entering_points._gaussians):
+        if len(points.sizes) == SIDE**2:
+            begun.set()
+            ends.wait(60)
+            raise MemoryError("the finest")
+        return gaussians(points, options)
+
+    monkeypatch.setattr(entering_points, "_gaussians", slow)
+    before = set(threading.enumerate())
+    part, _ = filled()
+    assert begun.wait(60)
+    assert all(thread.daemon for thread in set(threading.enumerate()) - before)
+    ends.set()
+    with pytest.raises(MemoryError, match="the finest"):
+        part.nodes[-1].result()
 
 
 def test_few_points_enter_at_once():
@@ -79,7 +102,8 @@ def test_the_next_level_takes_over_what_was_trained(item_device, spheres):
     assert ("max_offsets" in growth.changes) == ("anchors" in growth.changes) == spheres
     assert part.state() and part.before_step(session, plan(2.0)) is None
     assert part.before_step(session_of(item_device, new, found), plan(1.0)) == {"entered": SIDE**2}
-    assert part.state() == {}  # nothing is left to enter
+    assert part.state() == {} and not part.nodes  # nothing is left to enter, nor held
+    assert part.facts(FACTS, None, (), first).count == SIDE**2
 
 
 def test_a_part_goes_on_from_its_state():

@@ -10,8 +10,9 @@ one was trained.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import replace
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,6 +52,7 @@ class EnteringPoints(Part):
         self.nodes: list[Future[Gaussians]] = []
         self.parents: list[NDArray[np.int64]] = []
         self._state: State = {}
+        self._count = 0  # of the gaussians of the finest level
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
@@ -73,18 +75,18 @@ class EnteringPoints(Part):
                 merged, parents = points[0], np.arange(len(points[0].sizes))
             points.insert(0, merged)
             self.parents.insert(0, parents)
-        thread = ThreadPoolExecutor(1)
-        self.nodes = [thread.submit(_gaussians, each, options) for each in points]
-        thread.shutdown(wait=False)
+        self._count, self.nodes = len(sizes), [Future() for _ in points]
+        # a pool's thread would be waited for, half a minute of two million points, after Ctrl-C
+        Thread(target=_make, args=(self.nodes[:], points, options), daemon=True).start()
         return self.nodes[0].result()
 
     def facts(self, facts: SceneFacts, scene: Scene, views: Sequence[View],
               gaussians: Gaussians | None) -> SceneFacts:
-        return replace(facts, count=len(self._state["sizes"]))  # of all that will have entered
+        return replace(facts, count=self._count)  # of all that will have entered
 
     def before_step(self, session: Session, plan: Plan) -> dict[str, Any] | None:
         entered = 0
-        while len(self.nodes) > 1 and self.levels[0] > plan.level:
+        while self.nodes and self.levels[0] > plan.level:
             entered = self._enter(session.step)
         return {"entered": entered} if entered else None
 
@@ -105,15 +107,27 @@ class EnteringPoints(Part):
     def _drop_coarsest(self) -> None:
         del self.nodes[0], self.parents[0]
         self.levels = self.levels[1:]
+        if len(self.nodes) == 1:  # nothing enters any more, and a gaussian takes 250 bytes here
+            self.nodes, self._state = [], {}
 
     def state(self) -> State:
-        return self._state if len(self.nodes) > 1 else {}
+        return self._state
 
     def load(self, state: State, session: Session) -> None:
         if state:
             self.fill(state, session.schedule.levels, session.options)
-            while self.levels[0] > session.level:
+            while self.nodes and self.levels[0] > session.level:
                 self._drop_coarsest()
+
+
+def _make(nodes: Sequence[Future[Gaussians]], points: Sequence[Points], options: ScheduledOptions
+          ) -> None:
+    """Fill in the initial gaussians of all levels."""
+    for node, each in zip(nodes, points):
+        try:
+            node.set_result(_gaussians(each, options))
+        except BaseException as error:  # noqa: BLE001  (raised where the result is asked for)
+            node.set_exception(error)
 
 
 def _gaussians(points: Points, options: ScheduledOptions) -> Gaussians:
