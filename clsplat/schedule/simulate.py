@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from clsplat.schedule.plan import Schedule
+from clsplat.schedule.plan import FEWEST_ENTERING, Schedule
 from clsplat.schedule.sig import VARIANTS
 
 MOST_DENSIFIED = 0.4  # share of the gaussians that a round of growth densifies at most
@@ -49,7 +49,8 @@ def _steps(schedule: Schedule, detail: Callable[[float], float] | None
     enter = schedule.points_enter and schedule.facts.dense
     for iteration in range(1, schedule.options.iterations + 1):
         plan = schedule.plan(iteration)
-        yield plan.level, int(count / plan.level**2) if enter else count, plan.regularises > 0
+        entered = max(min(count, FEWEST_ENTERING), int(count / plan.level**2)) if enter else count
+        yield plan.level, entered, plan.regularises > 0
         if plan.grows:
             share = 1.0 if detail is None else min(1.0, (detail(plan.level) / SHARP) ** POWER)
             densified = PER_PIXEL * share * pixels / plan.level**2 * SETTLED**plan.decay

@@ -1,6 +1,7 @@
 """Whether a training begins at dense points, how many are wanted, and that it then does."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -75,6 +76,11 @@ def test_initial_gaussians_are_as_many_as_were_planned(city, float_device, monke
     assert parts == ()
     assert 0.5 * wanted < gaussians.count <= wanted < len(city.points) and seconds > 0
     assert 0 < initialise.start_seconds(float_device, prepared) < 60
+    monkeypatch.setattr(initialise, "_dense", lambda *given: (SimpleNamespace(
+        positions=city.points, colours=city.colours, sizes=np.ones(len(city.points))), 1.0))
+    few = replace(options, max_gaussians=len(city.points) - 1, levels=(2.0, 1.0))
+    with pytest.raises(InputError, match=f"--max-gaussians .* starts with {len(city.points)};"):
+        initialise.first_gaussians(float_device, prepare(city, few), SilentProgress())
     middle, extent = city.points.mean(axis=0), np.ptp(city.points, axis=0)
     spread = gaussians.positions * prepared.scene.unit - middle
     assert (np.abs(spread) < 2 * extent).all()

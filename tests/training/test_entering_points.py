@@ -1,17 +1,21 @@
 """Dense points enter with the levels: how many, where, and with what was trained."""
 
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from clsplat.io.scenes.read import read_scene
-from clsplat.schedule.plan import Plan
+from clsplat.schedule.plan import FEWEST_ENTERING, Plan
+from clsplat.schedule.sig import Sig
+from clsplat.schedule.simulate import simulate
 from clsplat.training.parts import entering_points
-from clsplat.training.parts.entering_points import FEWEST, EnteringPoints
+from clsplat.training.parts.entering_points import EnteringPoints
 from tests.data.tiny_training import CITY, model_digest, records, resumed, trained
 from tests.schedule.driven_sig import FACTS
+from tests.schedule.driven_sig import options_of as sig_options
 
 SIDE, CELL = 64, 2.0  # points along each side of a square; pixels
 LEVELS = 4.0, 2.0, 1.0
@@ -68,8 +72,12 @@ def test_nobody_waits_for_gaussians_of_a_training_that_failed(monkeypatch):
 
 def test_few_points_enter_at_once():
     part, first = filled(side=12)
-    assert first.count == 144 > FEWEST > 144 / 4
+    assert first.count == 144 > FEWEST_ENTERING > 144 / 4
     assert all(np.array_equal(parents, np.arange(144)) for parents in part.parents)
+    for count, expected in ((1000, [100, 250, 1000]), (12, [12])):  # a forecast knows
+        facts = replace(FACTS, count=count, dense=True)
+        segments = simulate(Sig(sig_options(max_gaussians=count), facts))
+        assert sorted({segment.gaussians for segment in segments}) == expected
 
 
 def session_of(device, rows, found):

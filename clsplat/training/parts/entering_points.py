@@ -22,7 +22,7 @@ from clsplat.densify.grow import Growth
 from clsplat.densify.sphere import with_spheres
 from clsplat.gaussians import Gaussians
 from clsplat.scene import Scene, View
-from clsplat.schedule.plan import Plan, SceneFacts
+from clsplat.schedule.plan import FEWEST_ENTERING, Plan, SceneFacts
 from clsplat.schedule.registry import schedule_of
 from clsplat.stereo.dense_points import Points, coarser
 from clsplat.training.part import Part, State
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from clsplat.training.start.prepare import PreparedScene
     from clsplat.training.step import Step
 
-FEWEST = 100  # points: the next finer level then begins at once
 CHANGED = "positions", "sh_constant", "log_scales"  # rows whose training the next level takes over
 STATE = "positions", "colours", "sizes", "pixels"  # of the points of the finest level
 
@@ -71,7 +70,7 @@ class EnteringPoints(Part):
         points = [Points(position, colour.astype(np.float64), sizes, np.ones(len(sizes), int))]
         for level in self.levels[-2::-1]:
             merged, parents = coarser(points[0], level * float(pixels[0]))
-            if len(merged.sizes) < FEWEST:
+            if len(merged.sizes) < FEWEST_ENTERING:
                 merged, parents = points[0], np.arange(len(points[0].sizes))
             points.insert(0, merged)
             self.parents.insert(0, parents)

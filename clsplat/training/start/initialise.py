@@ -82,10 +82,15 @@ def initial_gaussians(scene: Scene, options: TrainOptions,
         gaussians = with_spheres(gaussians, options.sphere_neighbours)
     if not constrained:  # drop the spheres of a file
         gaussians = gaussians.without_spheres()
-    if options.max_gaussians and gaussians.count > options.max_gaussians:
-        raise InputError(f"--max-gaussians {options.max_gaussians}: the scene starts with "
-                         f"{gaussians.count}; allow at least that many")
+    _check_limit(gaussians.count, options)
     return gaussians
+
+
+def _check_limit(count: int, options: GrowthOptions) -> None:
+    """InputError where a training would start with more gaussians than it may have."""
+    if options.max_gaussians and count > options.max_gaussians:
+        raise InputError(f"--max-gaussians {options.max_gaussians}: the scene starts with "
+                         f"{count}; allow at least that many")
 
 
 def planned_initial(facts: SceneFacts, options: SceneOptions) -> SceneFacts:
@@ -156,6 +161,7 @@ def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentPro
         levels = prepared.decisions.values["levels"]
         enter &= part.is_used(prepared) and len(levels) > 1 and not options.coarse
     if dense is not None and enter:
+        _check_limit(len(points.sizes), options)
         gaussians = part.fill(dict(zip(STATE, (*dense, points.sizes, np.array([pixels])))), levels,
                               options)
     else:
