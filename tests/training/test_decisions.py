@@ -192,6 +192,8 @@ def test_levels_are_named(city, drift):
     dense = found(large, iterations=3000)
     assert dense.values["levels"] == (2.0, 1.0)
     assert "; dense points enter with them; sides" in dense.reasons["levels"]
+    coarse = found(large, iterations=3000, init="dense", coarse=True)
+    assert dense.facts.dense and not coarse.facts.dense
     result = found(large, iterations=3000, init="sfm")
     assert result.values["levels"] == (3.0, 2.0, 1.0)
     assert result.reasons["levels"] == (
