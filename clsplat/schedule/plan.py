@@ -70,7 +70,7 @@ class SceneFacts:
         a share of full brightness (covisibility/disagreement.py); nan: not known. Photos are read.
     shown_in : mean number of training photos that show a sparse point, of the points that two or
         more show; nan: not known.
-    dense : whether training begins at dense points, which may enter with the levels.
+    dense : whether training begins at dense points that enter with the levels.
     """
 
     size: tuple[int, int]

@@ -46,10 +46,10 @@ def _steps(schedule: Schedule, detail: Callable[[float], float] | None
     """(level, gaussians, whether it regularises) of each step."""
     flat = {f"{variant}_mean": 1.0 for variant in VARIANTS}
     count, pixels = schedule.facts.count, schedule.facts.pixels
-    enter = schedule.points_enter and schedule.facts.dense
     for iteration in range(1, schedule.options.iterations + 1):
         plan = schedule.plan(iteration)
-        entered = max(min(count, FEWEST_ENTERING), int(count / plan.level**2)) if enter else count
+        entered = (max(min(count, FEWEST_ENTERING), int(count / plan.level**2))
+                   if schedule.facts.dense else count)
         yield plan.level, entered, plan.regularises > 0
         if plan.grows:
             share = 1.0 if detail is None else min(1.0, (detail(plan.level) / SHARP) ** POWER)

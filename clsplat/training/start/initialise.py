@@ -159,7 +159,7 @@ def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentPro
         points, pixels = _dense(device, prepared, progress)
         dense = points.positions, points.colours.round().astype(np.uint8)
         levels = prepared.decisions.values["levels"]
-        enter &= part.is_used(prepared) and len(levels) > 1 and not options.coarse
+        enter &= prepared.decisions.facts.dense and len(levels) > 1
     if dense is not None and enter:
         _check_limit(len(points.sizes), options)
         gaussians = part.fill(dict(zip(STATE, (*dense, points.sizes, np.array([pixels])))), levels,

@@ -163,7 +163,8 @@ def find_decisions(survey: Survey, device: Device | None = None, given: Sequence
     compared = functools.cache(lambda: stereo_views(scene, views))
     start = Decision(*chosen_start(survey, compared))
     if start.value == "dense":
-        facts = replace(facts, dense=not options.coarse,  # whose points have another order
+        # the gaussians of a coarse run are in another order than its points
+        facts = replace(facts, dense=schedule.points_enter and not options.coarse,
                         count=planned_count(limit.value, facts.pixels, options))
     parts = {"steps": Decision(steps, reason), "init": start,
              "levels": Decision(*schedule.planned_levels(options, facts)), "gaussians": limit,
