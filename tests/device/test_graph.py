@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from clsplat.device import Device
-from clsplat.device.graph import Input
+from clsplat.device import graph as graph_module
+from clsplat.device.graph import _ENQUEUE, Input
 from clsplat.errors import ShapeError
 from clsplat.loss.reproject import SCALE
 from clsplat.primitives.gather import gather
@@ -64,8 +65,10 @@ def sums_of(device, replays):
     return np.array(found), graph
 
 
-def test_a_replay_does_what_direct_launches_do(own_device):
+@pytest.mark.parametrize("has_enqueue", [True, False])
+def test_a_replay_does_what_direct_launches_do(own_device, monkeypatch, has_enqueue):
     """With other arrays and numbers in each, upon a state that each changes."""
+    monkeypatch.setattr(graph_module, "_ENQUEUE", _ENQUEUE if has_enqueue else None)
     direct, _ = sums_of(own_device, False)
     replayed, graph = sums_of(own_device, True)
     assert np.array_equal(direct, replayed)
