@@ -17,6 +17,7 @@ from clsplat.schedule.sig import (
     level_shares,
     levels_of,
 )
+from clsplat.schedule.simulate import simulate
 from clsplat.schedule.steps import worthwhile_steps
 from tests.schedule.driven_sig import FACTS, drive, lengths, options_of, rising, sig
 
@@ -56,6 +57,7 @@ def test_coarser_levels_do_not_grow_where_points_enter():
         schedule = Sig(options_of(levels=(2.0, 1.0), iterations=3000), facts)
         grown = {plan.level for plan in map(schedule.plan, range(1, 1000)) if plan.grows}
         assert grown == (set() if facts is dense else {2.0})
+    assert simulate(Sig(options_of(levels=(2.0, 1.0)), dense))[0].gaussians == 1000 / 2**2
 
 
 @pytest.mark.parametrize("side, steps, expected", [
