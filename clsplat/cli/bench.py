@@ -5,11 +5,11 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import FiniteRange, device_flag
+from clsplat.cli.flags import PATH, FiniteRange, device_flag
 
 
 @click.command()
-@click.argument("scene", type=click.Path(path_type=Path))
+@click.argument("scene", type=PATH)
 @click.option("--gaussians", type=click.IntRange(0), default=0, show_default=True,
               help="How many; 0: as many as the scene has points.")
 @click.option("-r", "--downscale", type=FiniteRange(min=1), default=1.0, show_default=True,

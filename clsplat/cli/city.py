@@ -26,10 +26,10 @@ TREE_HELP = ("Merge into a tree of levels of detail, CITY/point_cloud.tree, whic
 
 
 @click.command(cls=flags.TrainingCommand)
-@click.argument("scene", type=click.Path(path_type=Path))
+@click.argument("scene", type=flags.PATH)
 @flags.training_flags
 @flags.flags_of(PartitionOptions)
-@click.option("-o", "--output", type=click.Path(path_type=Path), **BLOCKS,
+@click.option("-o", "--output", type=flags.PATH, **BLOCKS,
               help="Folder of the city; default: SCENE.city.")
 @click.option("--workers", type=click.IntRange(min=1), **BLOCKS, help="Number of blocks that are "
               "trained at a time on this machine; --grid auto makes at least as many blocks. "
@@ -40,7 +40,7 @@ TREE_HELP = ("Merge into a tree of levels of detail, CITY/point_cloud.tree, whic
               "tcp://10.0.0.1:8786, whose workers train the blocks.")
 @click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, use the coarse model's "
               "gaussians; the report says so.")
-@click.option("--against", type=click.Path(path_type=Path), **BLOCKS, help="A run of the whole "
+@click.option("--against", type=flags.PATH, **BLOCKS, help="A run of the whole "
               "scene, or its PLY, as the reference for seams, in place of the coarse model.")
 @click.option("--tree", is_flag=True, **BLOCKS, help=TREE_HELP)
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
@@ -70,7 +70,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int |
 
 
 @click.command("partition", cls=flags.SectionedCommand)
-@click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
+@click.argument("folder", metavar="CITY", type=flags.PATH)
 @flags.flags_of(PartitionOptions)
 @flags.moved_scene_flag
 @click.pass_context
@@ -89,7 +89,7 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=flags.PATH)
 @click.option("--device", envvar=flags.DEVICE,
               help="As for `clsplat train`; default: that of the city.")
 @click.option("--stop-at", type=click.IntRange(min=1), help="Stop after this step.")
@@ -128,10 +128,10 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
 
 
 @click.command()
-@click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
+@click.argument("folder", metavar="CITY", type=flags.PATH)
 @click.option("--fill", is_flag=True, help="Use the coarse model's gaussians where a block is "
               "missing or unfinished; the report says so.")
-@click.option("--against", type=click.Path(path_type=Path), help="A run of the whole scene, or its "
+@click.option("--against", type=flags.PATH, help="A run of the whole scene, or its "
               "PLY, as the reference for seams, in place of the coarse model.")
 @click.option("--tree", is_flag=True, help=TREE_HELP)
 @flags.device_flag

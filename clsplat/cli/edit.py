@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsplat.cli.flags import FiniteRange, SectionedCommand, SectionedOption, check_free
+from clsplat.cli.flags import PATH, FiniteRange, SectionedCommand, SectionedOption, check_free
 from clsplat.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,12 +23,11 @@ FINITE = FiniteRange()
 
 
 @click.command(cls=SectionedCommand)
-@click.argument("models", metavar="MODEL...", nargs=-1, required=True,
-                type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
+@click.argument("models", metavar="MODEL...", nargs=-1, required=True, type=PATH)
+@click.option("-o", "--output", required=True, type=PATH,
               help="File to write; its suffix selects the format.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-@click.option("--scene", type=click.Path(path_type=Path),
+@click.option("--scene", type=PATH,
               help="Scene with the photos for --min-support; default for a run: its own scene.")
 @click.option("--box", nargs=6, type=float, **CROP, metavar="X0 Y0 Z0 X1 Y1 Z1",
               help="Keep what is in this box; inf and -inf leave a side open.")

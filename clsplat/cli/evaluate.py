@@ -6,20 +6,19 @@ from typing import Any
 
 import click
 
-from clsplat.cli.flags import FiniteRange, device_flag, moved_scene_flag
+from clsplat.cli.flags import PATH, FiniteRange, device_flag, moved_scene_flag
 
 PERCEPTUAL = ("flip", "flip_cc", "lpips", "lpips_cc")  # which no training computes
 
 
 @click.command("eval")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=PATH)
 @device_flag
 @click.option("--images/--no-images", default=True, show_default=True,
               help="Write each view's photo, renders and error side by side as PNG, and replace "
               "the pictures and scores in report.html.")
-@click.option("--lpips", type=click.Path(path_type=Path), metavar="FILE",
-              help="ONNX file of an LPIPS network, by which to compare as well; needs "
-              "`pip install onnxruntime`.")
+@click.option("--lpips", type=PATH, metavar="FILE", help="ONNX file of an LPIPS network, by which "
+              "to compare as well; needs `pip install onnxruntime`.")
 @click.option("--align", is_flag=True,
               help="Also compare from poses that are aligned with the photos on the finished "
               "model, by the same rule for every run.")
@@ -78,8 +77,8 @@ def summary(result: dict[str, Any]) -> str:
 
 
 @click.command()
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path),
+@click.argument("runs", nargs=-1, required=True, type=PATH)
+@click.option("-o", "--output", type=PATH,
               help="Folder for compare.html and compare.json; default: the common folder of RUNS.")
 @click.option("--psnr", "levels", multiple=True, type=FiniteRange(min=0),
               help="Colour-corrected PSNR, dB, whose training times to list; repeatable; default: "

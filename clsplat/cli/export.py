@@ -5,24 +5,22 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import check_free, everything_flag
+from clsplat.cli.flags import PATH, check_free, everything_flag
 from clsplat.errors import InputError
 
 
 @click.command()
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
-              help="File to write; its suffix selects the format: .ply, .sog, .spz, .glb, points "
-              "as .las or .laz, or .html, a page for the browser. "
-              "Without a suffix: a folder of 3D Tiles with levels of detail.")
+@click.argument("run", type=PATH)
+@click.option("-o", "--output", required=True, type=PATH, help="File to write; its suffix selects "
+              "the format: .ply, .sog, .spz, .glb, points as .las or .laz, or .html, a page for "
+              "the browser. Without a suffix: a folder of 3D Tiles with levels of detail.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--upright", is_flag=True, help="Turn the model so that up is -y, as most viewers "
               "expect. It then no longer fits the scene's cameras.")
 @click.option("--sh-degree", type=click.IntRange(0, 3), default=3, show_default=True,
               help="Highest degree of the spherical harmonics to write.")
 @everything_flag
-@click.option("--scene", type=click.Path(path_type=Path),
-              help="For a page: where the scene is now, if it was moved.")
+@click.option("--scene", type=PATH, help="For a page: where the scene is now, if it was moved.")
 def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: int,
            everything: bool, scene: Path | None) -> None:
     """Write the gaussians of RUN to a file for other programs.

@@ -24,8 +24,8 @@ def _size(text: str) -> tuple[int, int]:
 
 
 @click.command()
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
+@click.argument("run", type=flags.PATH)
+@click.option("-o", "--output", required=True, type=flags.PATH,
               help="A file .mp4, .mov or .mkv, or a folder for frames as PNG.")
 @click.option("--path", "route", default=AUTO, show_default=True, metavar="PATH",
               help="auto: obliquely over a site whose photos look down, else as photos; photos: "

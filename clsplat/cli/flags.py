@@ -11,16 +11,8 @@ from typing import Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from clsplat.config.option import (
-    Option,
-    check_flag,
-    expected,
-    flag_name,
-    kind_of,
-    options_of,
-    parsed,
-    shown_default,
-)
+from clsplat.config import option as declared
+from clsplat.config.option import Option, options_of, shown_default
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions, from_toml, options_with
 from clsplat.schedule.registry import OURS, others
@@ -92,6 +84,9 @@ class NonEmptyPath(click.Path):
         return super().convert(value, param, ctx)
 
 
+PATH = NonEmptyPath(path_type=Path)
+
+
 class Parsed(click.ParamType):  # type: ignore[type-arg]  # generic only since click 8.3
     """A value that a function makes of a text.
 
@@ -133,7 +128,7 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # generic only since cl
 
     def __init__(self, option: Option) -> None:
         self.option, self.choices = option, option.metadata["choices"]
-        kind, count = kind_of(option)
+        kind, count = declared.kind_of(option)
         self.name = ("LIST" if count is None else
                      option.metadata["separator"].join("NM") if count else NAMES[kind])
 
@@ -147,10 +142,10 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # generic only since cl
         if not isinstance(value, str):
             return value
         try:
-            return parsed(self.option, value)
+            return declared.parsed(self.option, value)
         except ValueError:
-            raise InputError(f"{flag_name(self.option.name)} {value}: expects "
-                             f"{expected(self.option)}") from None
+            raise InputError(f"{declared.flag_name(self.option.name)} {value}: expects "
+                             f"{declared.expected(self.option)}") from None
 
 
 def flags_of(kind: type, every: bool = False) -> Callable[[Command], Command]:
@@ -223,14 +218,14 @@ class TrainingCommand(SectionedCommand):
 
 def training_flags(command: Command, every: bool = False) -> Command:
     """Add the flags of a training, and the file of its other options; `every` as for `flags_of`."""
-    config = click.option("--config", type=click.Path(path_type=Path), cls=SectionedOption,
+    config = click.option("--config", type=PATH, cls=SectionedOption,
                           section="Run", help="TOML file of options; flags override it.")
     return flags_of(TrainOptions, every)(config(command))
 
 
 device_flag = click.option("--device", default="auto", show_default=True,
                            help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
-moved_scene_flag = click.option("--scene", type=click.Path(path_type=Path),
+moved_scene_flag = click.option("--scene", type=PATH,
                                 help="Where the scene is now, if it was moved.")
 everything_flag = click.option("--everything", is_flag=True, help="Keep gaussians at places that "
                                "fewer than two photos show, which a page and a film leave out.")
@@ -275,8 +270,8 @@ def config_options(ctx: click.Context) -> dict[str, Any]:
 
 def _flag(option: Option) -> tuple[list[str], dict[str, Any]]:
     """The names of an option's flag, and the settings of a SectionedOption."""
-    meta, default, name = option.metadata, option.default, flag_name(option.name)
-    kind, count = kind_of(option)
+    meta, default, name = option.metadata, option.default, declared.flag_name(option.name)
+    kind, count = declared.kind_of(option)
     text = meta["help"]
     if re.split("[:,]", text)[0] not in (*meta["words"], *meta["choices"], default):  # not a value
         text = text[0].upper() + text[1:]
@@ -295,7 +290,7 @@ def _flag(option: Option) -> tuple[list[str], dict[str, Any]]:
     def check(ctx: click.Context, param: click.Parameter, value: Any) -> Any:
         if ctx.get_parameter_source(param.name or "") is ParameterSource.DEFAULT:
             return option.default
-        return check_flag(option, sum(value, ()) if count is None else value)
+        return declared.check_flag(option, sum(value, ()) if count is None else value)
 
     names = [name, option.name] if meta["short"] is None else [meta["short"], name, option.name]
     return names, {"section": meta["group"], "main": meta["main"], "callback": check,

@@ -4,19 +4,18 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import FiniteRange
+from clsplat.cli.flags import PATH, FiniteRange
 from clsplat.errors import InputError
 
 
 @click.command(short_help="Give SCENE metres and map coordinates.")
-@click.argument("scene", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
+@click.argument("scene", type=PATH)
+@click.option("-o", "--output", required=True, type=PATH,
               help="Folder of the new scene; photos are linked.")
-@click.option("--photos", type=click.Path(path_type=Path), help="Folder of the original photos, if "
+@click.option("--photos", type=PATH, help="Folder of the original photos, if "
               "those of SCENE have lost their GPS; the names must be the same.")
-@click.option("--gcp", type=click.Path(path_type=Path), help="File of ground control points in "
-              "place of GPS: OpenDroneMap's gcp_list.txt, or CSV. Pixels are those of the photos "
-              "of SCENE.")
+@click.option("--gcp", type=PATH, help="File of ground control points in place of GPS: "
+              "OpenDroneMap's gcp_list.txt, or CSV. Pixels are those of the photos of SCENE.")
 @click.option("--check-point", "check_points", multiple=True, metavar="NAME",
               help="A point of --gcp that takes no part, but tells the error; may be repeated.")
 @click.option("--crs", default="", help="Coordinate reference system in metres, such as "

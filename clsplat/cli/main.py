@@ -6,7 +6,6 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, NoReturn
 
 import click
@@ -19,7 +18,6 @@ from clsplat.cli.edit import edit
 from clsplat.cli.evaluate import compare, evaluate
 from clsplat.cli.export import export
 from clsplat.cli.film import film
-from clsplat.cli.flags import NonEmptyPath
 from clsplat.cli.georeference import georeference
 from clsplat.cli.map import map_command
 from clsplat.cli.pack import pack
@@ -155,6 +153,3 @@ for _command in (main, *main.commands.values()):
     _command.params.append(click.Option(
         ["--traceback"], is_flag=True, expose_value=False,
         help="Show where in the code an error arose."))
-    for _parameter in _command.params:
-        if isinstance(_parameter.type, click.Path):
-            _parameter.type = NonEmptyPath(path_type=Path)

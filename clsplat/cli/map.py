@@ -4,16 +4,15 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import FiniteRange, check_free, device_flag, moved_scene_flag
+from clsplat.cli.flags import PATH, FiniteRange, check_free, device_flag, moved_scene_flag
 from clsplat.errors import InputError
 
 MOST_UNSURE = 0.1  # of the heights, without a warning
 
 
 @click.command("map")
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
-              help="Folder for the files.")
+@click.argument("run", type=PATH)
+@click.option("-o", "--output", required=True, type=PATH, help="Folder for the files.")
 @click.option("--resolution", type=FiniteRange(0, min_open=True),
               help="Size of a pixel, metres; of a scene without georeference scene units. Default: "
               "as fine as the photos.")

@@ -4,13 +4,12 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import FiniteRange
+from clsplat.cli.flags import PATH, FiniteRange
 
 
 @click.command()
-@click.argument("scene", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
-              help="The new folder.")
+@click.argument("scene", type=PATH)
+@click.option("-o", "--output", required=True, type=PATH, help="The new folder.")
 @click.option("-r", "--downscale", type=FiniteRange(min=1), default=1.0, show_default=True,
               help="Divide the width and height of the photos by this; with 1 their files are "
               "copied.")

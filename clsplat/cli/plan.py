@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsplat.cli.flags import TrainingCommand, config_options, given_options, training_flags
+from clsplat.cli.flags import PATH, TrainingCommand, config_options, given_options, training_flags
 from clsplat.errors import InputError
 from clsplat.schedule.plan import size_at
 
@@ -21,7 +21,7 @@ MOST_PHOTOS = 10**9
 
 
 @click.command(cls=TrainingCommand)
-@click.argument("scene", type=click.Path(path_type=Path))
+@click.argument("scene", type=PATH)
 @click.option("--photos", default="", help="Also forecast cities with these numbers of photos "
               "like those of SCENE, such as 1000,10000,100000.")
 @click.option("--workers", type=click.IntRange(1, MOST_PHOTOS), default=1, show_default=True,

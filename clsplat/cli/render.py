@@ -4,16 +4,15 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import device_flag, host_bytes, host_memory_flag
+from clsplat.cli.flags import PATH, device_flag, host_bytes, host_memory_flag
 from clsplat.errors import InputError
 
 
 @click.command(short_help="Render a model from the cameras of a scene.")
-@click.argument("model", metavar="RUN_OR_FILE", type=click.Path(path_type=Path))
-@click.option("--scene", type=click.Path(path_type=Path),
+@click.argument("model", metavar="RUN_OR_FILE", type=PATH)
+@click.option("--scene", type=PATH,
               help="Scene whose cameras to use; default for a run: its own scene.")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
-              help="Folder for the PNG files.")
+@click.option("-o", "--output", required=True, type=PATH, help="Folder for the PNG files.")
 @click.option("--views", type=click.Choice(("all", "test", "train")), default="all",
               show_default=True, help="Which views of the scene to render.")
 @click.option("--beside", is_flag=True, help="Put each render beside its photo.")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from clsplat.cli.flags import PATH
+
 if TYPE_CHECKING:
     from clsplat.sfm.reconstruct import SfmOptions
 
@@ -15,12 +17,11 @@ SHOWN = 5  # photos that were not registered
 
 
 @click.command(short_help="Make a scene from photos or a video.")
-@click.argument("photos", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
+@click.argument("photos", type=PATH)
+@click.option("-o", "--output", required=True, type=PATH,
               help="Folder of the new scene. The same command continues one that was killed.")
-@click.option("--masks", type=click.Path(path_type=Path),
-              help="Folder of masks NAME.png, dark where a photo shall not be used. Default: those "
-              "that are named as such in PHOTOS.")
+@click.option("--masks", type=PATH, help="Folder of masks NAME.png, dark where a photo shall not "
+              "be used. Default: those that are named as such in PHOTOS.")
 @click.option("--matching", type=click.Choice(("auto", "sequence", "all")),
               default="auto", show_default=True,
               help="Which pairs of photos are matched: those that follow each other by name, or "
@@ -32,9 +33,8 @@ SHOWN = 5  # photos that were not registered
               help="Number of frames that are taken from a video.")
 @click.option("--crs", default="", help="Coordinate reference system of the scene, such as "
               "EPSG:25832. Default: the UTM zone of the photos' GPS.")
-@click.option("--gcp", type=click.Path(path_type=Path),
-              help="File of ground control points, to which cameras and points are adjusted: "
-              "OpenDroneMap's gcp_list.txt, or CSV.")
+@click.option("--gcp", type=PATH, help="File of ground control points, to which cameras and points "
+              "are adjusted: OpenDroneMap's gcp_list.txt, or CSV.")
 @click.option("--check-point", "check_points", multiple=True, metavar="NAME",
               help="A point of --gcp that takes no part, but tells the error; may be repeated.")
 @click.option("--overwrite", is_flag=True, help="Replace a scene that this command has made.")

@@ -28,9 +28,9 @@ FOLDER: dict[str, Any] = {"cls": flags.SectionedOption, "section": "Run folder"}
 
 
 @click.command(cls=flags.TrainingCommand, short_help="Train gaussians on photos, or on a scene.")
-@click.argument("scene", type=click.Path(path_type=Path), required=False)
+@click.argument("scene", type=flags.PATH, required=False)
 @flags.training_flags
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), **FOLDER,
+@click.option("-o", "--output", required=True, type=flags.PATH, **FOLDER,
               help="Folder of the run: options, metrics, checkpoints, point_cloud.ply.")
 @click.option("--up", nargs=3, type=flags.FiniteRange(), **FOLDER, help="X Y Z: the direction in "
               "the scene that points up; default: that of the scene's files, or estimated from the "

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import device_flag, host_bytes, host_memory_flag
+from clsplat.cli.flags import PATH, device_flag, host_bytes, host_memory_flag
 
 
 @click.command(short_help="Look at the model of RUN in the browser.")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=PATH)
 @click.option("--port", type=click.IntRange(0, 65535), default=0,
               help="Port of the page; default: any that is free.")
 @host_memory_flag

@@ -26,15 +26,9 @@ from clsplat.scene import View
 from clsplat.schedule.plan import size_at
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.schedule.steps import laid_over
+from clsplat.training import photos as photo_store
 from clsplat.training.model import ENGINES, Model
-from clsplat.training.photos import (
-    DEVICE_SHARE,
-    IN_MEMORY_BYTES,
-    at_level,
-    decoded,
-    photo_array,
-    reading_bytes,
-)
+from clsplat.training.photos import at_level, decoded
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
 from clsplat.training.start.initialise import initial_gaussians, start_seconds
@@ -124,11 +118,11 @@ def forecast(prepared: PreparedScene, device: Device, progress: SilentProgress |
 
 def _photos(device: Device, views: Sequence[View], resident: bool, waits: bool) -> str:
     size = 3 * sum(v.camera.width * v.camera.height for v in views) / MIB
-    place = "it" if size * MIB <= IN_MEMORY_BYTES else "a file beside the run"
-    allowed = DEVICE_SHARE * device.handle.global_mem_size / MIB
+    place = "it" if size * MIB <= photo_store.IN_MEMORY_BYTES else "a file beside the run"
+    allowed = photo_store.DEVICE_SHARE * device.handle.global_mem_size / MIB
     return (f"{'resident' if resident else 'streamed'}: {size:,.0f} MiB at full size, "
             f"{allowed:,.0f} may stay on the device; reading takes up to "
-            f"{reading_bytes(views) / MIB:,.0f} of the host's memory"
+            f"{photo_store.reading_bytes(views) / MIB:,.0f} of the host's memory"
             + f", and photos that wait up to {size:,.0f} more in {place}" * waits)
 
 
@@ -269,8 +263,8 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
 def photo_bytes(device: Device, views: Sequence[View], level: float) -> tuple[int, bool]:
     """Device bytes of the photos at a level, and whether they stay on the device; where they are
     read at each use, those of the largest one."""
-    sizes = [photo_array(view).nbytes(device.real) for view in at_level(views, level)]
-    stay = sum(sizes) <= DEVICE_SHARE * device.handle.global_mem_size
+    sizes = [photo_store.photo_array(view).nbytes(device.real) for view in at_level(views, level)]
+    stay = sum(sizes) <= photo_store.DEVICE_SHARE * device.handle.global_mem_size
     return sum(sizes) if stay else max(sizes), stay
 
 

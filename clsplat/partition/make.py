@@ -17,17 +17,9 @@ from numpy.typing import NDArray
 
 from clsplat.covisibility.source_views import visibility
 from clsplat.errors import InputError
+from clsplat.partition import region as geometry
 from clsplat.partition.blocks import Clusters
-from clsplat.partition.region import (
-    CONTENT_QUANTILES,
-    Cells,
-    Partition,
-    Region,
-    Space,
-    ground_axes,
-    quantiles,
-    world_of,
-)
+from clsplat.partition.region import CONTENT_QUANTILES, Cells, Partition, Region, Space, quantiles
 
 if TYPE_CHECKING:
     from clsplat.camera import Camera
@@ -77,14 +69,14 @@ class _Input:
         self.scene, self.views = scene, views
         chosen = [scene.views[index] for index in views]
         local, self.observed_points, self.observed_views = visibility(scene, chosen)
-        self.points = world_of(scene, local)
-        self.cameras = world_of(scene, [view.camera.position for view in chosen])
-        self.content = world_of(scene, gaussians.positions)
+        self.points = geometry.world_of(scene, local)
+        self.cameras = geometry.world_of(scene, [view.camera.position for view in chosen])
+        self.content = geometry.world_of(scene, gaussians.positions)
         self.weights = np.isfinite(self.content).all(axis=1).astype(float)
         if not self.weights.any():
             raise InputError(f"{scene.name}: there is nothing to divide among blocks, since the "
                              "coarse model has no gaussians; train it again")
-        self.rotation = ground_axes(scene.up, self.content, self.weights)
+        self.rotation = geometry.ground_axes(scene.up, self.content, self.weights)
 
     def content_box(self, shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,)
                     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -13,17 +13,11 @@ from clsplat.evaluation.held_out_responses import Predicted
 from clsplat.evaluation.pictures import COLOURS, LARGEST_ERROR, Pictures, ShownView
 from clsplat.io.photos.images import encode_image
 from clsplat.io.runs.run import RunFolder
+from clsplat.report import scores as measures
 from clsplat.report.charts import drawn, score_chart, step_chart
 from clsplat.report.city import city_sections
 from clsplat.report.page import Table, folded, full_name, headed, html_of, page
-from clsplat.report.scores import (
-    EXPLAINED,
-    Record,
-    main_psnr,
-    number,
-    score_table,
-    with_quality,
-)
+from clsplat.report.scores import Record, main_psnr, number, score_table, with_quality
 from clsplat.report.survey import survey_html
 from clsplat.scene import Scene
 
@@ -97,7 +91,7 @@ def pictures_html(pictures: Pictures | None) -> str:
                  f"test than others would be. They were chosen from {pictures.count}.")
     colours = ", ".join(f"rgb{colour}" for colour in COLOURS)
     return (f"<h2>{title}</h2>\n<p>{which} PSNR measures how similar the two are after the colour "
-            f"fit. {EXPLAINED}</p>\n"
+            f"fit. {measures.EXPLAINED}</p>\n"
             "<div class=scale><b>error: none</b> "
             f'<i style="background: linear-gradient(to right, {colours})"></i>'
             f"{LARGEST_ERROR:.0%} of full brightness or more</div>\n{views}"

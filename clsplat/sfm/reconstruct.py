@@ -31,18 +31,10 @@ from clsplat.io.scenes.colmap_files import CAMERA_MODELS
 from clsplat.io.scenes.sources import IMAGES
 from clsplat.placement.plausible import NotGeoreferenced
 from clsplat.sfm import features
+from clsplat.sfm import photos as inputs
 from clsplat.sfm.mapping import map_photos
 from clsplat.sfm.pairs import choose_pairs
-from clsplat.sfm.photos import (
-    RECORD,
-    UNFINISHED,
-    SourceCamera,
-    SourcePhoto,
-    are_calibrated,
-    cameras_of,
-    find_photos,
-    is_video,
-)
+from clsplat.sfm.photos import SourceCamera, SourcePhoto, find_photos, is_video
 from clsplat.sfm.progress import Progress
 from clsplat.sfm.video import check_video, extract_frames
 
@@ -113,14 +105,14 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
     make_folder(output)
     with exclusive(output):
         unfinished = Unfinished(output)
-        if overwrite and (output / RECORD).exists():
+        if overwrite and (output / inputs.RECORD).exists():
             unfinished.forget()
-        (output / RECORD).unlink(missing_ok=True)
+        (output / inputs.RECORD).unlink(missing_ok=True)
         if found is None:
             extract_frames(source, unfinished.frames, options.frames, progress)
             found = find_photos(unfinished.frames)
         photos, refused = found
-        cameras = cameras_of(photos, options.camera_model)
+        cameras = inputs.cameras_of(photos, options.camera_model)
         masks = options.masks and str(options.masks.resolve())
         unfinished.open(photos, {"masks": masks, "matching": options.matching,
                                  "camera_model": options.camera_model}, overwrite)
@@ -133,7 +125,7 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
         has_place = True
         try:
             placed = place_reconstruction(model, metadata, control, adjusts=True,
-                                          keep_focal=are_calibrated(cameras))
+                                          keep_focal=inputs.are_calibrated(cameras))
         except NotGeoreferenced as error:
             model, has_place = unfinished.model(), False  # without an adjustment
             placed = turned(model, metadata, error)
@@ -152,7 +144,7 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
             "photos": len(photos) + len(refused), "not_registered": {
                 **refused, **damaged, **reasons(database, photos, {*names, *damaged})},
             "seconds": round(time.monotonic() - start, 1)}
-        write_object(output / RECORD, record)
+        write_object(output / inputs.RECORD, record)
         shutil.rmtree(unfinished.folder)
     return record
 
@@ -176,7 +168,7 @@ def _match(database: Path, photos: Sequence[SourcePhoto], cameras: Sequence[Sour
 def is_finished(output: Path, source: Path) -> bool:
     """Whether a folder holds the finished scene of these photos or this video; InputError if it is
     that of others, or photos were added or removed since."""
-    path = output / RECORD
+    path = output / inputs.RECORD
     if not path.exists():
         return False
     record = read_object(path, {}, f"remove {output}")
@@ -195,8 +187,8 @@ def is_finished(output: Path, source: Path) -> bool:
 def _check_output(output: Path, sources: Iterable[Path | None], overwrite: bool) -> None:
     """InputError if the folder of a scene holds something that may not be replaced, or one of the
     sources from which the scene is made."""
-    if not (output / UNFINISHED).is_dir():
-        if (output / RECORD).exists():
+    if not (output / inputs.UNFINISHED).is_dir():
+        if (output / inputs.RECORD).exists():
             if not overwrite:
                 raise InputError(f"{output}: holds a reconstructed scene already; give another "
                                  "folder, or --overwrite")
@@ -234,7 +226,7 @@ class Unfinished:
     """The folder .sfm of a scene, which is made, and in it that of the frames of a video."""
 
     def __init__(self, scene: Path) -> None:
-        self.folder = scene / UNFINISHED
+        self.folder = scene / inputs.UNFINISHED
         self.frames, self._model = self.folder / "frames", self.folder / "model"
         make_folder(self.folder)
 

@@ -14,16 +14,8 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError, clean
 from clsplat.io.fields import parsed, reading
-from clsplat.io.georeference.crs import (
-    WGS84,
-    has_metres,
-    heights_of,
-    horizontal,
-    map_positions,
-    normal_crs,
-    on_ground,
-    pyproj_crs,
-)
+from clsplat.io.georeference import crs as systems
+from clsplat.io.georeference.crs import heights_of, horizontal, on_ground
 from clsplat.io.regular import read_regular
 
 NUMBERS = ("x", "y", "z", "pixel_x", "pixel_y")
@@ -97,7 +89,7 @@ def read_control_points(path: str | Path | None, crs: str | None = None,
                  if line.strip() and not line.lstrip().startswith("#")]
         own = crs
         if lines and not _header(lines[0][1]):
-            own = normal_crs(lines.pop(0)[1].strip('";, \t'), str(path))
+            own = systems.normal_crs(lines.pop(0)[1].strip('";, \t'), str(path))
         if own is None:
             raise InputError(f"{path}: names no coordinate reference system; write one into the "
                              "first line, such as EPSG:32632, or give --crs")
@@ -178,9 +170,9 @@ def _in_metres(path: Path, places: NDArray[np.float64], own: str, crs: str | Non
         notes.append(f"heights of {path} count from {heights.name or 'what it does not state'}, so "
                      f"they are not labelled as {heights_of(crs).name}; heights are not converted")
         crs = horizontal(crs)
-    if crs is None and not has_metres(pyproj_crs(own, str(path))):
-        degrees = on_ground(flat, WGS84, metres)
-        return *map_positions(degrees[:, 1::-1], degrees[:, 2]), heights.name, (*notes,)
+    if crs is None and not systems.has_metres(systems.pyproj_crs(own, str(path))):
+        degrees = on_ground(flat, systems.WGS84, metres)
+        return *systems.map_positions(degrees[:, 1::-1], degrees[:, 2]), heights.name, (*notes,)
     # compound only if heights are in that unit
     target = crs or (own if heights.metres == 1 else flat)
     return on_ground(flat, horizontal(target), metres), target, heights.name, (*notes,)

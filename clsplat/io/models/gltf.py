@@ -24,19 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import reading
+from clsplat.io.models import values as stored
 from clsplat.io.models.spz import packed_spz, unpacked_spz
-from clsplat.io.models.values import (
-    LARGEST_LOG_SCALE,
-    OPACITY_STEPS,
-    Notes,
-    colours_of,
-    gaussians_of,
-    half_turn,
-    log_scales_of,
-    logits,
-    stored_rows,
-    unit,
-)
+from clsplat.io.models.values import Notes, half_turn, log_scales_of, logits, unit
 from clsplat.io.records import object_of
 from clsplat.io.regular import check_expansion, read_regular
 
@@ -54,7 +44,8 @@ ATTRIBUTES: tuple[tuple[str, str, int, Callable[..., Any], Callable[..., Any]], 
     (f"{EXTENSION}:ROTATION", "quaternions", 4, lambda wxyz: np.roll(unit(wxyz), -1, axis=1),
      lambda xyzw: np.roll(xyzw, 1, axis=1)),
     (f"{EXTENSION}:SCALE", "log_scales", 3,
-     lambda logs: np.exp(np.clip(logs, -LARGEST_LOG_SCALE, LARGEST_LOG_SCALE)), log_scales_of),
+     lambda logs: np.exp(np.clip(logs, -stored.LARGEST_LOG_SCALE, stored.LARGEST_LOG_SCALE)),
+     log_scales_of),
     (f"{EXTENSION}:OPACITY", "opacity_logits", 1,
      lambda values: scipy.special.expit(values), lambda column: logits(column[:, 0])),
     (f"{EXTENSION}:SH_DEGREE_0_COEF_0", "sh_constant", 3, np.asarray, np.asarray))
@@ -74,13 +65,13 @@ def write_glb(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     Notes become `asset.extras.comments`. Programs without the extension show the gaussians as
     coloured points.
     """
-    rows, origin = stored_rows(gaussians)
+    rows, origin = stored.stored_rows(gaussians)
     rows = half_turn(rows, axis=2)
     attributes = {name: encode(rows[field]).astype("<f4")
                   for name, field, _, encode, _ in ATTRIBUTES}
     attributes |= zip(HARMONICS, rows["sh_rest"].astype("<f4").transpose(1, 0, 2))
-    attributes["COLOR_0"] = OPACITY_STEPS.bytes(np.column_stack(
-        [colours_of(rows["sh_constant"]), attributes[f"{EXTENSION}:OPACITY"]]))
+    attributes["COLOR_0"] = stored.OPACITY_STEPS.bytes(np.column_stack(
+        [stored.colours_of(rows["sh_constant"]), attributes[f"{EXTENSION}:OPACITY"]]))
     root: dict[str, Any] = {"name": UPRIGHT, "children": [1]}
     if notes.up is not None:
         turn, _ = scipy.spatial.transform.Rotation.align_vectors(
@@ -175,7 +166,7 @@ def read_glb(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
                 notes = Notes.of_lines(line for line in lines if isinstance(line, str))
             case _:
                 notes = Notes()
-        return gaussians_of(path, half_turn(rows, axis=2), origin * TURN, offset), notes
+        return stored.gaussians_of(path, half_turn(rows, axis=2), origin * TURN, offset), notes
 
 
 def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:

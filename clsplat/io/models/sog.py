@@ -21,17 +21,8 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import reading
-from clsplat.io.models.values import (
-    MIP,
-    OPACITY_STEPS,
-    Notes,
-    Steps,
-    byte_logits,
-    from_smallest_three,
-    gaussians_of,
-    smallest_three,
-    stored_rows,
-)
+from clsplat.io.models import values as stored
+from clsplat.io.models.values import Notes, from_smallest_three
 from clsplat.io.photos.images import encode_image
 from clsplat.io.photos.photo import opened
 from clsplat.io.records import object_of
@@ -45,7 +36,7 @@ TEXTURES = {MEANS: ["means_l.webp", "means_u.webp"], SCALES: ["scales.webp"],
             HARMONICS: ["shN_centroids.webp", "shN_labels.webp"]}
 BANDS = {0: 0, 1: 3, 2: 8, 3: 15}  # harmonics above the constant, by their degree
 DATE = (1980, 1, 1, 0, 0, 0)  # of every member, so that equal models give equal bytes
-COMPONENT_STEPS = Steps(255 / 2**0.5, 127.5)  # of a quaternion
+COMPONENT_STEPS = stored.Steps(255 / 2**0.5, 127.5)  # of a quaternion
 FIRST_TAG = 252  # of the last channel of quaternions: tag + which component is the largest
 LARGEST_STEP = 65535  # of a position
 PALETTE_COLUMNS = 64
@@ -62,16 +53,16 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     They are sorted along a curve in space. Of the comments, only whether the model is antialiased
     has a place.
     """
-    rows, origin = stored_rows(gaussians, along_curve=True)
+    rows, origin = stored.stored_rows(gaussians, along_curve=True)
     logarithms = np.sign(rows["positions"]) * np.log1p(np.abs(rows["positions"]))
     low, high = ((logarithms.min(axis=0), logarithms.max(axis=0)) if gaussians.count
                  else np.zeros((2, 3)))
     steps = np.rint((logarithms - low) / np.maximum(high - low, SMALLEST_SPAN)
                     * LARGEST_STEP).astype(int)
-    largest, others = smallest_three(rows["quaternions"])
+    largest, others = stored.smallest_three(rows["quaternions"])
     scales, scale_labels = _codebook(rows["log_scales"])
     colours, colour_labels = _codebook(rows["sh_constant"])
-    opacity = OPACITY_STEPS.bytes(scipy.special.expit(rows["opacity_logits"]))
+    opacity = stored.OPACITY_STEPS.bytes(scipy.special.expit(rows["opacity_logits"]))
     # the record and the textures of each
     parts: dict[str, tuple[dict[str, Any], list[NDArray[np.uint8]]]] = {
         MEANS: ({"mins": low.tolist(), "maxs": high.tolist()},
@@ -128,13 +119,13 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gau
             "positions": np.sign(logarithms) * np.expm1(np.minimum(np.abs(logarithms), 88)),
             "sh_constant": _codes(meta[COLOURS])[colours[:, :3]],
             "sh_rest": _read_harmonics(meta, read, count),
-            "opacity_logits": byte_logits(colours[:, 3]),
+            "opacity_logits": stored.byte_logits(colours[:, 3]),
             "log_scales": _codes(meta[SCALES])[scales[:, :3]],
             "quaternions": from_smallest_three(tag, COMPONENT_STEPS.values(quaternions[:, :3])),
         }
         origin = np.array(meta.get(ORIGIN, (0, 0, 0)), np.float64).reshape(3)
-        return (gaussians_of(path, rows, origin, offset),
-                Notes((MIP,) if meta.get("antialias") else ()))
+        return (stored.gaussians_of(path, rows, origin, offset),
+                Notes((stored.MIP,) if meta.get("antialias") else ()))
 
 
 def _harmonics(sh_rest: NDArray[np.float64], degree: int

@@ -15,13 +15,8 @@ from numpy.typing import NDArray
 from clsplat.errors import MOST_CHARACTERS, InputError
 from clsplat.georeference import Georeference
 from clsplat.io.fields import text
-from clsplat.io.georeference.crs import (
-    GEOCENTRIC,
-    GEODETIC,
-    conversion,
-    project_crs,
-    utm_zone,
-)
+from clsplat.io.georeference import crs as systems
+from clsplat.io.georeference.crs import conversion
 from clsplat.io.scenes.posed import Cloud, PosedPhoto, posed_scene, read_cloud
 from clsplat.io.scenes.sources import IMAGES, PHOTO_SUFFIXES, photo_folder
 from clsplat.placement.alignment import Similarity, fitted
@@ -133,7 +128,7 @@ def project_scene(path: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
     if place is not None:
         similarity, georeference = on_map(
             place.to_earth, np.array([photo.position for photo in photos]),
-            project_crs(place.definition),
+            systems.project_crs(place.definition),
             f"{place.program}'s alignment of {len(photos)} photos")
         photos = [replace(photo, rotation=photo.rotation @ similarity.rotation.T,
                           position=similarity(photo.position)) for photo in photos]
@@ -150,7 +145,7 @@ def project_scene(path: Path, files: PhotoFiles, photos: Sequence[PosedPhoto],
 
 def topocentric(latitude: float, longitude: float, height: float) -> Similarity:
     """From east, north and up in metres at a place (degrees, metres) to geocentric coordinates."""
-    (centre,) = conversion(GEODETIC, GEOCENTRIC)([(longitude, latitude, height)])
+    (centre,) = conversion(systems.GEODETIC, systems.GEOCENTRIC)([(longitude, latitude, height)])
     axes = scipy.spatial.transform.Rotation.from_euler(
         "ZX", (90 + longitude, 90 - latitude), degrees=True)
     return Similarity(1.0, axes.as_matrix(), centre)
@@ -178,13 +173,13 @@ def on_map(to_earth: Similarity, centres: NDArray[np.float64], crs: str, source:
     are not near the earth's surface, or outside of the map.
     """
     middle = np.median(centres, axis=0)
-    geodetic = conversion(GEOCENTRIC, GEODETIC, partial=True)
+    geodetic = conversion(systems.GEOCENTRIC, systems.GEODETIC, partial=True)
     (place,) = geodetic(to_earth(middle[None]))
     if not (np.isfinite(place).all() and abs(place[2]) < 1e5):
         raise ValueError("its cameras are not near the earth's surface")
-    crs = crs or utm_zone(*place[:2])
+    crs = crs or systems.utm_zone(*place[:2])
     around = middle + STEP / to_earth.scale * np.concatenate([np.eye(3), -np.eye(3)])
-    exact = conversion(GEODETIC, crs, partial=True)(
+    exact = conversion(systems.GEODETIC, crs, partial=True)(
         geodetic(to_earth(np.concatenate([around, centres]))))
     offset = np.round(exact[:6].mean(axis=0))
     similarity = fitted(around, exact[:6] - offset) if np.isfinite(exact).all() else None
