@@ -11,13 +11,7 @@ from click.testing import CliRunner
 from clsplat.cli.flags import TrainingCommand, given_options, training_flags
 from clsplat.cli.main import main
 from clsplat.config.option import checked, expected, flag_name, shown_name
-from clsplat.options import (
-    TrainOptions,
-    from_toml,
-    resolve,
-    seconds_of,
-    serves,
-)
+from clsplat.options import TrainOptions, from_toml, resolve, seconds_of, serves
 from clsplat.schedule.registry import OURS, schedule_of
 from clsplat.schedule.sig import PAPER, RELEASE
 from tests.refusals import refused

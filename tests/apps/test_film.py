@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from clsplat.apps.camera_path import (
-    flight,
-    interpolated,
-    read_camera_path,
-    turntable,
-)
+from clsplat.apps.camera_path import flight, interpolated, read_camera_path, turntable
 from clsplat.cli.main import main
 from clsplat.evaluation.run import Run
 from clsplat.io.photos.images import read_image

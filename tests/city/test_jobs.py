@@ -18,16 +18,7 @@ from clsplat.cities.jobs import HERE, Lost
 from clsplat.cities.workers import LOG, MOST_TRIES, Workers
 from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.io.lock import exclusive
-from tests.city.jobs_driver import (
-    DONE,
-    ENDS,
-    NO_DEVICE,
-    STARTS,
-    STATE,
-    STEPPED,
-    lines,
-    some_jobs,
-)
+from tests.city.jobs_driver import DONE, ENDS, NO_DEVICE, STARTS, STATE, STEPPED, lines, some_jobs
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 
 from clsplat.cities.merge import cropped, joined
-from clsplat.cities.seams import (
-    LEAST_PIXELS,
-    _scores,
-    find_borders,
-    find_seams,
-)
+from clsplat.cities.seams import LEAST_PIXELS, _scores, find_borders, find_seams
 from clsplat.evaluation.views import render_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import write_image

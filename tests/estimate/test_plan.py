@@ -9,19 +9,7 @@ from clsplat.camera import Camera
 from clsplat.cli.main import main
 from clsplat.device import Device
 from clsplat.estimate import forecast as module
-from clsplat.estimate.forecast import (
-    MOST_PIXELS,
-    Memory,
-    fitted,
-    forecast,
-    photo_bytes,
-    photo_detail,
-    pixels,
-    predicted_memory,
-    predicted_seconds,
-    take_trials,
-    tried_sizes,
-)
+from clsplat.estimate.forecast import Memory, fitted, forecast, photo_bytes, pixels, tried_sizes
 from clsplat.estimate.trial_steps import TrialSteps, sampled
 from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import write_image
@@ -102,7 +90,7 @@ def test_detail_is_what_half_the_size_would_not_show(tmp_path):
         height, width = image.shape[:2]
         camera = Camera(width, height, (10.0, 10.0), (4.0, 4.0), np.eye(3), np.zeros(3))
         view = View(name, camera, tmp_path / f"{name}.png")
-        assert photo_detail([view], 1.0) == pytest.approx(expected, abs=1e-6), name
+        assert module.photo_detail([view], 1.0) == pytest.approx(expected, abs=1e-6), name
 
 
 def test_photos_are_compared_while_growing_only():
@@ -131,9 +119,9 @@ def test_trial_steps_foretell_what_a_training_allocates(float_device, options):
     gaussians = sampled(prepared.scene, 5000, prepared.options.sh_degree)
     regularises = options.get("reproject") == "on"
     segments = [Segment(1, 2.0, 3000, regularises), Segment(1, 1.0, 5000, regularises)]
-    trials = take_trials(device, prepared, 3000, segments, SilentProgress())
+    trials = module.take_trials(device, prepared, 3000, segments, SilentProgress())
     assert len(trials) == 3 and trials[:, 2].all()
-    memory = predicted_memory(device, prepared, gaussians, segments, trials)
+    memory = module.predicted_memory(device, prepared, gaussians, segments, trials)
     device.trim()
     assert device.memory_bytes < 10_000  # trials give back what they take
     photos = Photos(device, prepared.train_views)
@@ -149,7 +137,7 @@ def test_trial_steps_foretell_what_a_training_allocates(float_device, options):
 def test_photos_that_do_not_fit_are_counted_one_at_a_time(item_device, city, monkeypatch):
     each = 3 * 80 * 60
     assert photo_bytes(item_device, city.views, 1.0) == (each * len(city.views), True)
-    monkeypatch.setattr(module, "DEVICE_SHARE", 0.0)
+    monkeypatch.setattr("clsplat.training.photos.DEVICE_SHARE", 0.0)
     assert photo_bytes(item_device, city.views, 1.0) == (each, False)
 
 
@@ -206,7 +194,7 @@ def test_a_course_costs_what_its_steps_do(city):
     assert (small, large) == (40 * 30, 80 * 60)
     measured = [(image, count, 1 + 0.1 * image + 0.01 * count)
                 for image in (small, large) for count in (100, 200)]
-    assert predicted_seconds(np.array(measured), city.views, segments) == pytest.approx(
+    assert module.predicted_seconds(np.array(measured), city.views, segments) == pytest.approx(
         10 * (1 + 0.1 * small + 1) + 5 * (1 + 0.1 * large + 2))
 
 
@@ -231,7 +219,7 @@ def test_large_photos_are_timed_at_two_smaller_sizes(levels):
     for views in (sized_views(5472, 4088), sized_views(54720, 40880)):
         sizes = tried_sizes(views, 1000, segments)
         images = {round(pixels(views, level)) for level, _ in sizes}
-        assert max(images) < 1.001 * MOST_PIXELS and len(images) == 2
+        assert max(images) < 1.001 * module.MOST_PIXELS and len(images) == 2
         assert min(images) < 0.26 * max(images)  # far enough apart to extrapolate from
     small = tried_sizes(sized_views(1600, 1195), 1000, segments)
     assert {level for level, _ in small} == set(levels)

@@ -3,13 +3,8 @@
 import numpy as np
 import pytest
 
-from clsplat.constants import (
-    COUNT_FAILED,
-    COUNT_MOST_VISIBLE,
-    COUNT_NEEDED_VISIBLE,
-    COUNT_VISIBLE,
-    PER_ITEM,
-)
+from clsplat import constants
+from clsplat.constants import COUNT_MOST_VISIBLE, COUNT_NEEDED_VISIBLE, COUNT_VISIBLE, PER_ITEM
 from clsplat.primitives import compact as module
 from clsplat.primitives.compact import compact, new_counts
 from tests.reference.compact import compact as reference
@@ -78,7 +73,7 @@ def test_a_room_that_is_large_enough(device, monkeypatch, more):
         assert (written[len(expected):] == UNWRITTEN).all(), count
         found = counts.download()
         assert found[COUNT_VISIBLE] == found[COUNT_MOST_VISIBLE] == len(expected)
-        assert not found[COUNT_FAILED] and not found[COUNT_NEEDED_VISIBLE]
+        assert not found[constants.COUNT_FAILED] and not found[COUNT_NEEDED_VISIBLE]
 
 
 @pytest.mark.oclgrind
@@ -90,6 +85,6 @@ def test_a_room_that_is_too_small(device, monkeypatch, fewer):
     _, failed = reference(flags, needed - fewer)
     written = into_a_room(device, monkeypatch, flags, counts, needed - fewer)
     found = counts.download()
-    assert failed and found[COUNT_FAILED] == 1 and found[COUNT_VISIBLE] == 0
+    assert failed and found[constants.COUNT_FAILED] == 1 and found[COUNT_VISIBLE] == 0
     assert found[COUNT_NEEDED_VISIBLE] == found[COUNT_MOST_VISIBLE] == needed
     assert (written[needed - fewer:] == UNWRITTEN).all()

@@ -10,14 +10,7 @@ from clsplat.cli.main import main
 from clsplat.errors import DeviceError, Interrupted
 from clsplat.io.runs.run import RunFolder, find_runs
 from clsplat.report import compare
-from clsplat.report.groups import (
-    Trained,
-    differing,
-    equal,
-    grouped,
-    read_runs,
-    warnings,
-)
+from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, warnings
 from tests.data.made_runs import METHODS, made_run
 from tests.refusals import refused
 from tests.report.test_report import Balanced

@@ -8,13 +8,7 @@ import pytest
 import clsplat.stereo.dense_points as stereo_module
 from clsplat.device import Reading
 from clsplat.scene import Scene, View
-from clsplat.stereo.dense_points import (
-    SPARSE,
-    Points,
-    dense_points,
-    merge,
-    stereo_views,
-)
+from clsplat.stereo.dense_points import SPARSE, Points, dense_points, merge, stereo_views
 from tests.kernels.test_sweep import DEPTH, cameras_of, photo_of
 
 SLANT = 0.1  # of the plane that `photo_of` shows

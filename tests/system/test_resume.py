@@ -18,16 +18,8 @@ from clsplat.schedule import sig
 from clsplat.training.loop import resume
 from clsplat.training.parts import image_term
 from clsplat.training.step import Step
-from tests.data.tiny_training import (
-    CITY,
-    LEVELLED,
-    flags,
-    model_digest,
-    options_of,
-    records,
-    resumed,
-    trained,
-)
+from tests.data import tiny_training
+from tests.data.tiny_training import LEVELLED, model_digest, options_of, records, resumed, trained
 from tests.signals import listen
 
 TIMES = ("train_seconds", "wall_seconds", "memory_bytes", "peak_bytes")
@@ -191,7 +183,7 @@ SLOW = {**LEVELLED, "iterations": 200, "reset_every": 80, "checkpoint_every": 10
 def undisturbed(tmp_path_factory):
     """What the commands below start, through the command line, on its device."""
     folder = tmp_path_factory.mktemp("undisturbed") / "run"
-    invoked("train", CITY, "-o", folder, "-q", *flags(**SLOW))
+    invoked("train", tiny_training.CITY, "-o", folder, "-q", *tiny_training.flags(**SLOW))
     return RunFolder.open(folder)
 
 
@@ -204,8 +196,8 @@ def invoked(*words):
 def started(folder, wait_for):
     """A training in a process of its own that has written a file of its run."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "clsplat", "train", str(CITY), "-o", str(folder), "-q",
-         *flags(**SLOW)],
+        [sys.executable, "-m", "clsplat", "train", str(tiny_training.CITY), "-o", str(folder), "-q",
+         *tiny_training.flags(**SLOW)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=listen)
     deadline = time.monotonic() + 300
     while not (folder / wait_for).exists():
@@ -224,7 +216,7 @@ def test_killed_and_resumed(tmp_path, undisturbed):
     process.communicate()
     assert process.returncode == -signal.SIGKILL
     assert not (folder / "point_cloud.ply").exists()
-    invoked("train", CITY, "-o", folder, "-q", "--resume")
+    invoked("train", tiny_training.CITY, "-o", folder, "-q", "--resume")
     run = RunFolder.open(folder)
     assert model_digest(run) == model_digest(whole)
     assert history(run) == history(whole)

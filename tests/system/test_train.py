@@ -14,13 +14,7 @@ from clsplat.training.frequency import AXES, VARIANTS
 from clsplat.training.photos import epoch_order
 from clsplat.training.progress import SilentProgress
 from clsplat.training.step import Step
-from tests.data.tiny_training import (
-    CITY,
-    STILL,
-    options_of,
-    records,
-    trained,
-)
+from tests.data.tiny_training import CITY, STILL, options_of, records, trained
 
 COMMON = ["event", "iteration", "train_seconds", "wall_seconds", "level", "gaussians",
           "pixel_pairs"]

@@ -15,13 +15,9 @@ import numpy as np
 from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
+from clsplat.io.georeference import files as places
 from clsplat.io.georeference.control_points import read_control_points
-from clsplat.io.georeference.files import (
-    read_georeference,
-    read_orientation,
-    write_georeference,
-    write_orientation,
-)
+from clsplat.io.georeference.files import read_georeference, write_georeference, write_orientation
 from clsplat.io.models.formats import read_model, write_model
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.photos.images import image_size, read_image, write_image
@@ -224,7 +220,7 @@ def _georeferences(folder):
 
 
 def _georeference(folder):
-    place, orientation = read_georeference(folder), read_orientation(folder)
+    place, orientation = read_georeference(folder), places.read_orientation(folder)
     if place is not None:
         _finite(place.offset, place.residual)
     if orientation is not None:

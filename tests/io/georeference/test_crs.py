@@ -5,14 +5,8 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.georeference.crs import (
-    conversion,
-    map_positions,
-    normal_crs,
-    on_ground,
-    project_crs,
-    scene_crs,
-)
+from clsplat.io.georeference import crs as systems
+from clsplat.io.georeference.crs import conversion, map_positions, normal_crs, on_ground, scene_crs
 
 
 def test_other_systems():
@@ -70,4 +64,4 @@ def test_places_that_are_not_on_the_earth():
     ("a\0b", "")])
 def test_definitions_that_a_map_can_have(definition, crs):
     """Projected, in metres."""
-    assert project_crs(definition) == crs
+    assert systems.project_crs(definition) == crs
