@@ -8,31 +8,22 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # type checkers take it for true; `typing` would take a while to import
 if TYPE_CHECKING:
-    from clsplat.api.city import city as city
-    from clsplat.api.device import Device as Device
-    from clsplat.api.gaussians import Gaussians as Gaussians
-    from clsplat.api.options import TrainOptions as TrainOptions
-    from clsplat.api.plan import Forecast as Forecast
-    from clsplat.api.plan import plan as plan
-    from clsplat.api.renderer import Frame as Frame
-    from clsplat.api.renderer import Renderer as Renderer
-    from clsplat.api.renderer import render as render
-    from clsplat.api.run import Run as Run
-    from clsplat.api.scene import Scene as Scene
-    from clsplat.api.scene import View as View
-    from clsplat.api.score import Score as Score
-    from clsplat.api.score import evaluate as evaluate
-    from clsplat.api.trainer import Trainer as Trainer
-    from clsplat.api.trainer import TrainingStep as TrainingStep
-    from clsplat.api.trainer import train as train
-    from clsplat.camera import Camera as Camera
-    from clsplat.config.option import option as option
-    from clsplat.errors import ClsplatError as ClsplatError
-    from clsplat.errors import StopTraining as StopTraining
-    from clsplat.georeference import Georeference as Georeference
-    from clsplat.schedule.plan import Plan as Plan
-    from clsplat.schedule.plan import Schedule as Schedule
-    from clsplat.training.part import Part as Part
+    from clsplat.api.city import city
+    from clsplat.api.device import Device
+    from clsplat.api.gaussians import Gaussians
+    from clsplat.api.options import TrainOptions
+    from clsplat.api.plan import Forecast, plan
+    from clsplat.api.renderer import Frame, Renderer, render
+    from clsplat.api.run import Run
+    from clsplat.api.scene import Scene, View
+    from clsplat.api.score import Score, evaluate
+    from clsplat.api.trainer import Trainer, TrainingStep, train
+    from clsplat.camera import Camera
+    from clsplat.config.option import option
+    from clsplat.errors import ClsplatError, StopTraining
+    from clsplat.georeference import Georeference
+    from clsplat.schedule.plan import Plan, Schedule
+    from clsplat.training.part import Part
 
 __version__ = "0.1.0"
 

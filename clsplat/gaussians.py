@@ -207,8 +207,7 @@ class Gaussians:
         return f"<clsplat.Gaussians: {self.count:,}, SH degree {self.sh_degree}>"
 
 
-def neighbour_distance(points: NDArray[np.floating], neighbours: int = 3
-                       ) -> NDArray[np.float64]:
+def neighbour_distance(points: NDArray[np.floating], neighbours: int = 3) -> NDArray[np.float64]:
     """Root mean square distance float64[N] of each point to its nearest neighbours, world units.
 
     Coincident points count as one point; otherwise the distance between duplicates would be zero.
@@ -217,8 +216,7 @@ def neighbour_distance(points: NDArray[np.floating], neighbours: int = 3
     return np.asarray(np.maximum(np.sqrt((distance**2).mean(axis=1)), least)[inverse])
 
 
-def mean_neighbour_distance(points: NDArray[np.floating], neighbours: int
-                            ) -> NDArray[np.float64]:
+def mean_neighbour_distance(points: NDArray[np.floating], neighbours: int) -> NDArray[np.float64]:
     """Mean distance float64[N] of each point to its nearest neighbours, or to as many as there are,
     world units. Coincident points count as one point."""
     distance, inverse, least = _distances(points, neighbours)
@@ -256,8 +254,7 @@ def _distances(points: NDArray[np.floating], neighbours: int
     return distance, inverse, MINIMUM_DISTANCE * size
 
 
-def _distinct(points: NDArray[np.floating]
-              ) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
+def _distinct(points: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
     """As np.unique(points, axis=0, return_inverse=True), in half of the time or less; where all
     points differ in their first coordinate, in the given order."""
     first = np.sort(points[:, 0])

@@ -1,7 +1,5 @@
 """The place of a scene on the earth, and how well it is known."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -252,8 +252,7 @@ def _edge_on(rows, seen_by, rng):
     normal = normal / np.linalg.norm(normal, axis=1, keepdims=True) + 1e-4 * ray
     half = normal / np.linalg.norm(normal, axis=1, keepdims=True) + [0, 0, 1]  # from z to normal
     rows["quaternions"] = np.column_stack([half[:, 2], np.cross([0, 0, 1], half)])
-    rows["log_scales"] = np.log(np.array([3, 3, 3e-6])
-                                * rows["positions"][:, 2:] / seen_by["fx"])
+    rows["log_scales"] = np.log(np.array([3, 3, 3e-6]) * rows["positions"][:, 2:] / seen_by["fx"])
 
 
 _CHANGES = {"depths": _depths, "edge_on": _edge_on, "stack": _stack, "needles": _needles,

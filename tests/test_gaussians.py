@@ -23,8 +23,7 @@ def all_pairs(points):
 def test_against_all_pairs(neighbours):
     nearest = all_pairs(POINTS)[:, :neighbours]
     assert np.allclose(mean_neighbour_distance(POINTS, neighbours), nearest.mean(axis=1))
-    assert np.allclose(neighbour_distance(POINTS, neighbours),
-                       np.sqrt((nearest**2).mean(axis=1)))
+    assert np.allclose(neighbour_distance(POINTS, neighbours), np.sqrt((nearest**2).mean(axis=1)))
 
 
 def test_the_inverse_against_all_pairs():

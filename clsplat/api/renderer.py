@@ -150,8 +150,7 @@ class Renderer:
             raise InputError(f"{model.count:,} gaussians: the device has memory for {limit:,}; "
                              "use clsplat.render, which renders larger models in slabs")
         self.model = model
-        self._pipeline = pipeline.Renderer(device, model.sh_degree, near, antialiased,
-                                           background)
+        self._pipeline = pipeline.Renderer(device, model.sh_degree, near, antialiased, background)
         self._rows = {f.name: device.upload(model.rows[f.name]) for f in LEARNED}
 
     def update(self, **fields: Any) -> None:
@@ -302,8 +301,7 @@ def _image(array: Any) -> NDArray[np.float32]:
     return np.ascontiguousarray(array.download().transpose(1, 2, 0), np.float32)
 
 
-def _as_numpy(values: Any, name: str, shape: tuple[int, ...] | None = None
-              ) -> NDArray[np.float32]:
+def _as_numpy(values: Any, name: str, shape: tuple[int, ...] | None = None) -> NDArray[np.float32]:
     """A numpy array, of this shape if one is given, of an object with `__dlpack__` or `__array__`,
     or of nested numbers; InputError for anything else, such as complex numbers."""
     if not hasattr(values, "__array__") and hasattr(values, "__dlpack__"):

@@ -92,8 +92,7 @@ def flight(scene: Scene, seconds: float) -> Keys:
     rush."""
     count = len(scene.views)
     number = max(2, min(max(4, round(KEYS_A_SECOND * seconds)), count))
-    chosen = [scene.views[i].camera
-              for i in np.linspace(0, count - 1, number).round().astype(int)]
+    chosen = [scene.views[i].camera for i in np.linspace(0, count - 1, number).round().astype(int)]
     positions = np.array([camera.position for camera in chosen])
     quaternions = scipy.spatial.transform.Rotation.from_matrix(
         [camera.rotation for camera in chosen]).as_quat()

@@ -93,8 +93,7 @@ def write_film(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], ra
         coder.color_primaries = coder.color_trc = BT709
         for number, picture in enumerate(pictures, 1):
             frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
-            container.mux(stream.encode(frame.reformat(format="yuv420p",
-                                                       dst_colorspace="ITU709")))
+            container.mux(stream.encode(frame.reformat(format="yuv420p", dst_colorspace="ITU709")))
             shown(number)
         container.mux(stream.encode())
 

@@ -203,8 +203,7 @@ class _Handler(BaseHTTPRequestHandler):
             if request.wants_depth:
                 self._send_json({"depth": answer})
             else:
-                self._send(200, "image/jpeg",
-                           encode_image(answer, "jpg", JPEG_QUALITY, "JPEG"))
+                self._send(200, "image/jpeg", encode_image(answer, "jpg", JPEG_QUALITY, "JPEG"))
 
     def _allowed_path(self) -> str | None:
         """The path after the token; None if the request was refused."""

@@ -154,8 +154,7 @@ def block_steps(city: City, steps: float, size: tuple[int, int], facts: SceneFac
 
     `size` : (width, height) of its smallest training image; `facts` : of the whole."""
     schedule = schedule_of(city.options.schedule)
-    shrunk = dataclasses.replace(city.options, iterations=max(1, round(steps)),
-                                 eval_every=0)
+    shrunk = dataclasses.replace(city.options, iterations=max(1, round(steps)), eval_every=0)
     shrunk = dataclasses.replace(shrunk, **schedule.options_of_block(shrunk, size, facts))
     return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
             if field.name not in ("init", "coarse")}

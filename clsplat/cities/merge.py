@@ -297,8 +297,7 @@ def evaluate_city(city: City, merged: Merged, against: Path | None = None
     scene = run.as_trained(whole)
     train, test = scene.split(options.test_every, options.test_offset)
     if test:
-        scores = evaluate_run(run, city.device, save_images=False,
-                              gaussians=merged.gaussians)
+        scores = evaluate_run(run, city.device, save_images=False, gaussians=merged.gaussians)
         run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
                                                      if key not in ("per_view", "pictures")}})
     partition = folder.partition(scene)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.densify.grow import Growth
 from clsplat.gaussians import Gaussians
 from clsplat.io.runs.city import BlockFolder
 from clsplat.io.runs.run import read_exposures
@@ -18,13 +18,10 @@ from clsplat.partition.region import Region
 from clsplat.response import Response
 from clsplat.scene import Scene, View
 from clsplat.schedule.plan import SceneFacts
+from clsplat.training.model import Model
 from clsplat.training.part import Part, State
 from clsplat.training.parts.exposures import PhotoResponses
-
-if TYPE_CHECKING:
-    from clsplat.densify.grow import Growth
-    from clsplat.training.model import Model
-    from clsplat.training.session import Session
+from clsplat.training.session import Session
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,8 +101,7 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
                     keep &= source.in_box(box)
                 if polygon:
                     keep &= source.in_polygons(polygon)
-                source = kept(source, keep ^ outside,
-                              f"are {'inside' if outside else 'outside'}")
+                source = kept(source, keep ^ outside, f"are {'inside' if outside else 'outside'}")
             if min_opacity:
                 source = kept(source, opacities(source.gaussians) >= min_opacity,
                               f"are less opaque than {min_opacity:g}")

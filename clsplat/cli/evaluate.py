@@ -44,8 +44,7 @@ def evaluate(run: Path, device: str, images: bool, lpips: Path | None, align: bo
     folder.check_model()
     metrics = final_metrics(lpips)
     with folder.locked() if images else nullcontext():
-        result = evaluate_run(opened, choose_device(device), images, scene, metrics,
-                              align)
+        result = evaluate_run(opened, choose_device(device), images, scene, metrics, align)
         click.echo(summary(result))
         if images:
             from clsplat.report.run import write_report

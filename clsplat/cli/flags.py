@@ -1,7 +1,5 @@
 """The flags of commands, derived from dataclasses of options, and help texts in sections."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

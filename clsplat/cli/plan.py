@@ -28,8 +28,7 @@ MOST_PHOTOS = 10**9
               help="With --photos: number of devices.")
 @training_flags
 @click.pass_context
-def plan(ctx: click.Context, /, scene: Path, photos: str, workers: int, **_options: object
-         ) -> None:
+def plan(ctx: click.Context, /, scene: Path, photos: str, workers: int, **_options: object) -> None:
     """Forecast the decisions, memory and time of a training.
 
     Takes the options of `clsplat train`. Prints a line for each part of the training that can be

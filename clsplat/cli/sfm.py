@@ -49,8 +49,7 @@ def sfm(photos: Path, output: Path, masks: Path | None, matching: str, camera_mo
     its sfm.json tells what was registered, what was not and why.
     """
     from clsplat.sfm.reconstruct import SfmOptions
-    options = SfmOptions(masks, matching, camera_model.upper(), frames, crs, gcp,
-                         check_points)
+    options = SfmOptions(masks, matching, camera_model.upper(), frames, crs, gcp, check_points)
     _make_scene(photos, output, options, overwrite, quiet)
     if not quiet:
         click.echo(f"{output}: next, `clsplat train {output} -o RUN`")

@@ -1,19 +1,15 @@
 """What photos of a scene disagree about, as points show it: exposure, vignetting, and colours."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.camera import Camera
 from clsplat.covisibility.source_views import observed_points
 from clsplat.response import corner_radius, squared_radius
-
-if TYPE_CHECKING:
-    from clsplat.camera import Camera
-    from clsplat.scene import Scene, View
+from clsplat.scene import Scene, View
 
 # Drift from which on exposures are learned. Measured at a half to an eighth of the photos' size:
 # 0.002 to 0.010 for the synthetic city, which has no drift, and 0.008 to 0.067 with a twentieth of
@@ -85,8 +81,7 @@ def _shown_points(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.f
     cell = row // size * OCCLUSION_CELLS + column // size
     nearest = np.full(OCCLUSION_CELLS**2, np.inf)
     np.minimum.at(nearest, cell, depth)
-    counted = (depth <= OCCLUSION_DEPTH * nearest[cell]) & (
-        photo[3:, row, column] > 0).all(axis=0)
+    counted = (depth <= OCCLUSION_DEPTH * nearest[cell]) & (photo[3:, row, column] > 0).all(axis=0)
     return inside[counted], column[counted], row[counted]
 
 

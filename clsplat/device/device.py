@@ -1,7 +1,5 @@
 """An open device: context, queue, memory, built programs, checked launches, profiling."""
 
-from __future__ import annotations
-
 import math
 import time
 import warnings

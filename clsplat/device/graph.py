@@ -95,8 +95,7 @@ class Graph:
         for kernel, spare in self._bound:
             spare.append(kernel)
 
-    def add(self, function: str, kernel: Any, items: int, group: int, arguments: list[Any]
-            ) -> None:
+    def add(self, function: str, kernel: Any, items: int, group: int, arguments: list[Any]) -> None:
         """Record a launch, or where `kernel` is None a fill of (buffer, value, bytes).
 
         Parameters

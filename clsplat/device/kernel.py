@@ -192,8 +192,7 @@ class Contract:
             (name, None, None) if isinstance(a, str) else
             (name, None if a[0] in ("real", *EITHER) else np.dtype(SCALARS[a[0]]), a[1:])
             for name, a in self.arguments.items()]
-        self._either = {name: EITHER[a[0]] for name, a in self.arguments.items()
-                        if a[0] in EITHER}
+        self._either = {name: EITHER[a[0]] for name, a in self.arguments.items() if a[0] in EITHER}
         self._fixed = {n: n for _, _, shape in self._checks for n in shape or ()
                        if isinstance(n, int)}
         known = {name for name, a in self.arguments.items() if isinstance(a, str)}.union(

@@ -66,8 +66,7 @@ def _mixture(gaussians: Gaussians) -> NDArray[Any]:
     return mixture
 
 
-def _cheapest_pairs(mixture: NDArray[Any], most: int
-                    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _cheapest_pairs(mixture: NDArray[Any], most: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Disjoint pairs of neighbours, at least one and at most `most`, the cheapest first."""
     positions, masses = mixture["position"], mixture["mass"]
     neighbours = min(NEIGHBOURS, len(mixture) - 1)
@@ -102,8 +101,7 @@ def _merged(mixture: NDArray[Any], one: NDArray[np.intp], other: NDArray[np.intp
     covariance = np.zeros((len(one), 3, 3))
     for rows, part in ((first, share), (second, 1 - share)):
         away = rows["position"] - mean
-        covariance += part[..., None] * (
-            rows["covariance"] + away[:, :, None] * away[:, None])
+        covariance += part[..., None] * (rows["covariance"] + away[:, :, None] * away[:, None])
     variances = np.linalg.eigvalsh(covariance)
     area = np.sqrt(np.maximum(variances[:, 1] * variances[:, 2], TINY))
     part = share[..., None].astype(np.float32)

@@ -23,8 +23,7 @@ def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True
     wanted : called with the name of an array, returns whether it is read.
     """
     found = {}
-    with opened_archive(path, lambda name: wanted(name.removesuffix(".npy"))) as (
-            archive, members):
+    with opened_archive(path, lambda name: wanted(name.removesuffix(".npy"))) as (archive, members):
         for name, member in members.items():
             with archive.open(member) as stream:
                 found[name.removesuffix(".npy")] = _read_array(stream, member.file_size)

@@ -18,8 +18,7 @@ LARGEST_NUMBER = 1e100  # sums of squares stay finite
 def object_of(data: bytes) -> dict[str, Any]:
     """Parse a JSON object; ValueError unless its numbers are finite and its text is Unicode."""
     try:
-        table = json.loads(data, parse_constant=_finite, parse_float=_finite,
-                           parse_int=_integer)
+        table = json.loads(data, parse_constant=_finite, parse_float=_finite, parse_int=_integer)
         # only an escape can stand for half a surrogate pair, which no file can hold
         if b"\\ud" in data.lower():
             json.dumps(table, ensure_ascii=False).encode()

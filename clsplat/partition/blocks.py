@@ -132,8 +132,7 @@ class Clusters:
         self._radii = np.linalg.norm(high - low, axis=1) / 2
         self._reaches = np.maximum.reduceat(reach[self.order], starts) if count else reach
 
-    def near_view(self, camera: Camera, near: float, beside: float = 0.0
-                  ) -> NDArray[np.integer]:
+    def near_view(self, camera: Camera, near: float, beside: float = 0.0) -> NDArray[np.integer]:
         """The places in `order` of points that a view may show; all others it certainly does not.
 
         `camera` : a pinhole, in the frame of the points; `near` : depth of the near plane; `beside`
@@ -189,8 +188,7 @@ def trainable(scene: Scene, region: Region, positions: NDArray[np.floating],
     These are the gaussians that its region reaches with TRAINED_DEVIATIONS standard deviations.
     `positions`, `log_scales` : [N, 3], in the local frame of the scene."""
     deviations = np.exp(np.maximum.reduce(log_scales.T).astype(np.float64))
-    return region.reaches(world_of(scene, positions),
-                          scene.unit * TRAINED_DEVIATIONS * deviations)
+    return region.reaches(world_of(scene, positions), scene.unit * TRAINED_DEVIATIONS * deviations)
 
 
 def seen_pixels(scene: Scene, region: Region, views: Sequence[View]) -> int:

@@ -5,27 +5,22 @@ blockgs : recursive bisection into equal content (Wu et al. 2025, BlockGaussian)
 vastgs : cells with equally many cameras (Lin et al. 2024, VastGaussian, section 4.1).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.camera import Camera
 from clsplat.covisibility.source_views import visibility
 from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
 from clsplat.partition import region as geometry
 from clsplat.partition.blocks import Clusters
+from clsplat.partition.options import PartitionOptions
 from clsplat.partition.region import CONTENT_QUANTILES, Cells, Partition, Region, Space, quantiles
-
-if TYPE_CHECKING:
-    from clsplat.camera import Camera
-    from clsplat.gaussians import Gaussians
-    from clsplat.partition.options import PartitionOptions
-    from clsplat.scene import Scene
+from clsplat.scene import Scene
 
 LEAST_HALF_SIDE = 0.02  # of the longest half side of an area of interest
 # of citygs
@@ -229,8 +224,7 @@ def _contracted(data: _Input, grid: tuple[int, int]) -> Space:
     for more cells, and all of it along an axis that is not cut.
     """
     outside = [1 / max(n, 4) for n in grid]
-    shares = [(share, 1 - share) if n > 1 else CONTENT_QUANTILES
-              for share, n in zip(outside, grid)]
+    shares = [(share, 1 - share) if n > 1 else CONTENT_QUANTILES for share, n in zip(outside, grid)]
     # cell 1 of N > 3 begins at 1/N of contracted space, N/4 half sides from the middle
     return data.space(contracted=True, shares=shares, stretch=[4 * share for share in outside])
 
@@ -247,8 +241,7 @@ def _tested(regions: Sequence[Region], content: NDArray[np.float64]) -> list[Reg
     return tested
 
 
-def _visible_cells(data: _Input, owner: NDArray[np.integer]
-                   ) -> Iterator[NDArray[np.integer]]:
+def _visible_cells(data: _Input, owner: NDArray[np.integer]) -> Iterator[NDArray[np.integer]]:
     """For each view, the cells that have content in its image or close beside it; `owner` : [M],
     the cell of each content, -1 for none."""
     places = (data.content - data.scene.offset) / data.scene.unit

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsplat.camera import turned
-
-if TYPE_CHECKING:
-    from clsplat.scene import Scene
+from clsplat.scene import Scene
 
 CONTENT_QUANTILES = (0.01, 0.99)  # content beyond these counts as outliers
 ANGLE_STEPS = 90  # rectangles that are tried over a quarter turn
@@ -243,8 +241,7 @@ class Cells:
     def __init__(self, regions: Sequence[Region]) -> None:
         low, high = (np.array([getattr(region, name) for region in regions])
                      for name in ("low", "high"))
-        self.edges = [np.unique(ends[np.isfinite(ends)])
-                      for ends in np.concatenate([low, high]).T]
+        self.edges = [np.unique(ends[np.isfinite(ends)]) for ends in np.concatenate([low, high]).T]
         first = [np.searchsorted(e, ends, side="right") for e, ends in zip(self.edges, low.T)]
         end = [np.searchsorted(e, ends, side="left") + 1 for e, ends in zip(self.edges, high.T)]
         self.table = np.full([len(e) + 1 for e in self.edges], -1, np.int32)

@@ -139,8 +139,7 @@ class _Problem:
         """
         rotation = scipy.spatial.transform.Rotation.align_vectors(UP, self.up)[0].as_matrix()
         turned = self.places @ rotation.T
-        place, position = (values[:, 0] + 1j * values[:, 1]
-                           for values in (turned, self.positions))
+        place, position = (values[:, 0] + 1j * values[:, 1] for values in (turned, self.positions))
         first, second = _samples(rng, len(place), 2).T
         with np.errstate(all="ignore"):
             factors = (position[second] - position[first]) / (place[second] - place[first])

@@ -1,8 +1,6 @@
 """Small corrections of camera poses: what they do to a camera, and the motion that all have in
 common."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """From where a viewer should first look at a scene."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -140,8 +140,7 @@ def pair_columns(channels: int, with_depth: bool) -> int:
     return constants.SHAPE_SUMS + max(channels, 2) + with_depth
 
 
-def blend_defines(with_depth: bool, smooth_cutoff: bool = False, depth_percent: int = 0
-                  ) -> Defines:
+def blend_defines(with_depth: bool, smooth_cutoff: bool = False, depth_percent: int = 0) -> Defines:
     """The build-time choices of both kernels; a depth at a share of the light has no adjoint."""
     return (("WITH_DEPTH", int(with_depth)), ("SMOOTH_CUTOFF", int(smooth_cutoff)),
             ("DEPTH_PERCENT", depth_percent if with_depth else 0))

@@ -1,7 +1,5 @@
 """The whole of rendering: gaussians to an image, and the image's gradient back to gaussians."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

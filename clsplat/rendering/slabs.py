@@ -242,8 +242,7 @@ class SlabRenderer:
         return SlabFrame(Blended(device.upload(image), device.upload(left), None,
                                  device.upload(depth)), slabs)
 
-    def _front_to_back(self, parts: SlabParts, camera: Camera, packed: Array
-                       ) -> NDArray[np.uint64]:
+    def _front_to_back(self, parts: SlabParts, camera: Camera, packed: Array) -> NDArray[np.uint64]:
         """uint64[V]: the rows that are drawn, by depth as the device computes it, ties by row.
 
         The lower half of a number is the row, the upper half the key of its depth.

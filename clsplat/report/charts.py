@@ -5,8 +5,6 @@ A chart is a function that returns a Chart, or None if there is nothing to draw:
 [(x, text)].
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape

@@ -1,19 +1,17 @@
 """HTML for notebooks: a table of facts, a run with its curve and scores, a view, a scene, a model.
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.edit.select import alive, selected
 from clsplat.errors import ClsplatError
+from clsplat.evaluation.run import Run
 from clsplat.evaluation.survey import survey_of
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.values import opacities
@@ -26,9 +24,6 @@ from clsplat.report.run import jpeg, lead
 from clsplat.report.scores import score_table
 from clsplat.report.survey import survey_maps
 from clsplat.scene import NEAR_SHARE, Scene, View
-
-if TYPE_CHECKING:
-    from clsplat.evaluation.run import Run
 
 THUMBNAIL, SMALL = 320, 160  # pixels, the longer side of the photo of a view, and in a sheet
 SHEET = 12  # photos of a scene at most

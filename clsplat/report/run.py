@@ -152,5 +152,4 @@ def _duration(seconds: float) -> str:
     if seconds < 100:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
-    return (f"{minutes} min {rest} s" if minutes < 100
-            else f"{minutes // 60} h {minutes % 60} min")
+    return f"{minutes} min {rest} s" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"

@@ -129,8 +129,7 @@ def score_table(records: Sequence[Record]) -> Table | None:
     evaluations = [record for record in records if record.get("event") == "eval"]
     columns = [*COLUMNS, *(column for column in PERCEPTUAL if any(
         record.get(column[0]) is not None for record in evaluations)), GAUSSIANS]
-    rows = [tuple(number(record, key, form) for key, _, form in columns)
-            for record in evaluations]
+    rows = [tuple(number(record, key, form) for key, _, form in columns) for record in evaluations]
     note = ("Means over the held-out views; cc: after a quadratic fit of each render's colours to "
             f"its photo. {EXPLAINED}")
     if len(columns) > len(COLUMNS) + 1:

@@ -1,7 +1,5 @@
 """The section "Survey" of a report: maps of the cameras and of the overlap, and the errors."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Iterator
 from html import escape

@@ -117,8 +117,7 @@ def _features(photo: SourcePhoto) -> tuple[NDArray[np.float32], NDArray[np.uint8
     size = max(1, round(width * factor)), max(1, round(height * factor))
     try:
         pixels = read_image(photo.path, size if factor < 1 else None, levels=photo.levels)
-        mask = (None if photo.mask is None else
-                read_mask(photo.mask, photo.mask, (width, height)))
+        mask = None if photo.mask is None else read_mask(photo.mask, photo.mask, (width, height))
     except InputError as error:
         return str(error)
     bitmap = pycolmap.Bitmap.from_array((pixels @ LUMINANCE + 0.5).astype(np.uint8))

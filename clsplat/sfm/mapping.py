@@ -56,8 +56,7 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
         raise InputError(f"{work.parent}: no photos could be placed, since too few of their "
                          "features match; photos must be sharp, overlap by more than half, and be "
                          "taken from different places")
-    return max(models, key=lambda model: (model.num_reg_images(),
-                                          model.compute_num_observations()))
+    return max(models, key=lambda model: (model.num_reg_images(), model.compute_num_observations()))
 
 
 def _square(model: Any) -> bool:

@@ -14,7 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,8 @@ from numpy.typing import NDArray
 from clsplat.covisibility.source_views import choose_source_views, visibility
 from clsplat.device import Array, Device, Reading
 from clsplat.io.ahead import called_ahead
+from clsplat.scene import Scene, View
 from clsplat.stereo.sweep import Compared, confirm, device_images, sweep
-
-if TYPE_CHECKING:
-    from clsplat.scene import Scene, View
 
 SOURCES = 4  # photos with which each is compared
 PLANES = 96

@@ -83,8 +83,7 @@ def confirm(compared: Compared, same_depth: float) -> Array:
     return confirmed
 
 
-def plane_warp(reference: Camera, source: Camera, first_centre: float = 0.5
-               ) -> NDArray[np.float64]:
+def plane_warp(reference: Camera, source: Camera, first_centre: float = 0.5) -> NDArray[np.float64]:
     """float64[12]: A [3, 3] by rows and b [3], with which the reference's pixel (x, y) at inverse
     depth w lies at A (x, y, 1) + w b in the source, homogeneous (Gallup et al. 2007, eq. 1). The
     centre of the first pixel has the coordinates `first_centre`."""

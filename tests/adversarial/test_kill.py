@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +11,10 @@ import pytest
 from clsplat.cli.train import resumed_options
 from clsplat.io.runs.run import RunFolder
 from clsplat.training.loop import resume
-from tests.data.tiny_training import CITY, LEVELLED, flags, model_digest, records, trained
+from tests.data.tiny_training import CITY, LEVELLED, ROOT, flags, model_digest, records, trained
 from tests.system.test_resume import history
 
 pytestmark = pytest.mark.nightly  # tests/system/test_resume.py kills a run once
-ROOT = Path(__file__).resolve().parents[2]
 # everything that a run has: two levels, growth at both, exposures, adjacent photos, evaluations
 WHOLE = {**LEVELLED, "iterations": 90, "checkpoint_every": 10, "eval_every": 25}
 SHORT = {"iterations": 30, "densify_from": 10, "checkpoint_every": 9, "test_every": 16}

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +14,8 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
 from clsplat.rendering.slabs import open_model
 from clsplat.training import loop
-from tests.data.tiny_training import CITY, model_digest
+from tests.data.tiny_training import CITY, ROOT, model_digest
 
-ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
 SMALL_VALUES = {"iterations": 40, "downscale": 8, "schedule": "constant", "exposure": "off",
                 "eval_every": 20}

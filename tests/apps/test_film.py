@@ -5,13 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from clsplat.apps.camera_path import flight, interpolated, read_camera_path, turntable
-from clsplat.cli.main import main
 from clsplat.evaluation.run import Run
 from clsplat.io.photos.images import read_image
 from clsplat.options import TrainOptions
+from tests.command_line import clsplat_
 from tests.data import ground_model as made
 from tests.refusals import refused
 
@@ -103,8 +102,8 @@ def command(tmp_path, monkeypatch):
     monkeypatch.setattr(Run, "open", lambda path: run)
 
     def run_film(output, *words):
-        result = CliRunner().invoke(main, ["film", "run", "-o", str(tmp_path / output), "--size",
-                                           "64x48", "--fps", "5", "--seconds", "1", *words])
+        result = clsplat_("film", "run", "-o", tmp_path / output, "--size", "64x48", "--fps", 5,
+                          "--seconds", 1, *words)
         return result.exit_code, result.output
     return run_film
 
@@ -140,8 +139,7 @@ def test_a_film(tmp_path, command):
             stream = container.streams.video[0]
             assert stream.codec_context.name == "h264" and stream.pix_fmt == "yuv420p"
             assert stream.average_rate == 5
-            pictures = [frame.to_ndarray(format="rgb24")
-                        for frame in container.decode(video=0)]
+            pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
         assert len(pictures) == 5 and pictures[0].shape == (48, 64, 3)
     command("frames", "--path", "turntable")
     expected = read_image(tmp_path / "frames" / "frame_00003.png").astype(float)

@@ -9,15 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rasterio
-from click.testing import CliRunner
 
 from clsplat.apps.map import write_map
 from clsplat.apps.map_grid import ground_resolution, map_grid
-from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.georeference.crs import on_ground
 from clsplat.options import TrainOptions
+from tests.command_line import clsplat_
 from tests.data import ground_model as made
 
 FILES = {"orthophoto.tif", "surface.tif", "contours.geojson", "preview.png", "map.json"}
@@ -154,14 +153,14 @@ def test_the_grid_follows_the_photos():
 
 def test_the_command(tmp_path, monkeypatch):
     monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(None)))
-    words = ["map", "run", "-o", str(tmp_path / "map"), "--resolution", "0.1"]
-    result = CliRunner().invoke(main, words)
+    words = "map", "run", "-o", tmp_path / "map", "--resolution", 0.1
+    result = clsplat_(*words)
     assert result.exit_code == 0 and "heights 7.00 to 9.00" in result.output, result.output
     assert {path.name for path in (tmp_path / "map").iterdir()} == FILES
-    again = CliRunner().invoke(main, words)
+    again = clsplat_(*words)
     assert again.exit_code == 2 and "--overwrite" in again.output
     (tmp_path / "map" / "mine.txt").write_text("mine")
-    again = CliRunner().invoke(main, [*words, "--overwrite", "--contours", "0"])
+    again = clsplat_(*words, "--overwrite", "--contours", 0)
     assert again.exit_code == 0, again.output
     left = {path.name for path in (tmp_path / "map").iterdir()}
     assert left == FILES - {"contours.geojson"} | {"mine.txt"}, "no lines of the earlier map"

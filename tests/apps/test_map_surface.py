@@ -9,19 +9,18 @@ import numpy as np
 import pyproj
 import pytest
 import rasterio
-from click.testing import CliRunner
 
 from clsplat.apps import map as map_module
 from clsplat.apps.geotiff import Raster
 from clsplat.apps.map import contour_lines, write_map
 from clsplat.apps.map_grid import TILE, MapGrid, map_grid
-from clsplat.cli.main import main
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Residual
 from clsplat.io.georeference.crs import normal_crs, scene_crs
 from clsplat.options import TrainOptions
 from tests.apps.test_map import rasters, run_of
+from tests.command_line import clsplat_
 from tests.data import ground_model as made
 
 CODELESS = {
@@ -56,16 +55,14 @@ def with_holes():
     stray = Gaussians({**{name: rows[:1].copy() for name, rows in model.rows.items()},
                        "positions": np.array([[7, -7, -30]], np.float32),
                        "log_scales": np.log(np.array([[3, 3, 0.1]], np.float32))}, 0, made.OFFSET)
-    rows = {name: np.concatenate([values, stray.rows[name]])
-            for name, values in model.rows.items()}
+    rows = {name: np.concatenate([values, stray.rows[name]]) for name, values in model.rows.items()}
     return Gaussians(rows, 0, made.OFFSET)
 
 
 def test_a_pit_is_left_out_and_a_true_hole_stays(item_device, tmp_path):
     model, scene = with_holes(), made.scene(None)
     points = model.positions[model.positions[:, 2] > -20].astype(float)
-    scene = dataclasses.replace(scene, points=points,
-                                colours=np.zeros((len(points), 3), np.uint8))
+    scene = dataclasses.replace(scene, points=points, colours=np.zeros((len(points), 3), np.uint8))
     grid = dataclasses.replace(map_grid(scene, 0.1), floor=-np.inf)  # the local rule alone
     run = SimpleNamespace(path=tmp_path, finished_model=model, options=TrainOptions(),
                           georeference=None)
@@ -148,7 +145,7 @@ def mapped(tmp_path, monkeypatch):
     def call(words, place=made.UTM):
         monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(place)))
         folder = tmp_path / "map"
-        return folder, CliRunner().invoke(main, ["map", "run", "-o", str(folder), *words])
+        return folder, clsplat_("map", "run", "-o", folder, *words)
     return call
 
 

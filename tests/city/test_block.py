@@ -5,12 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.spatial import cKDTree
 
 from clsplat.cities.block import decided_by, options_of_blocks
 from clsplat.cities.scene import BlockScene
-from clsplat.cli.main import main
 from clsplat.densify import round as growth
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply, write_ply
@@ -24,6 +22,7 @@ from clsplat.response import Response
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.registry import OURS
 from clsplat.training.parts.exposures import PhotoResponses
+from tests.command_line import clsplat_
 from tests.data.tiny_training import EVENTFUL, LEVELLED, model_digest, options_of, trained
 
 SHORT = {"iterations": 61, "densify_until": 61, "test_every": 0}
@@ -216,7 +215,7 @@ def written(there, city, **options):
 
 def called(block, *words):
     """(exit code, output) of `clsplat block`."""
-    result = CliRunner().invoke(main, ["block", str(block.path), *words])
+    result = clsplat_("block", block.path, *words)
     return result.exit_code, result.output
 
 

@@ -179,8 +179,7 @@ def test_goes_on_where_it_was(copy):
 def test_stages_one_by_one_end_in_the_same(made, tmp_path):
     flags = [flag for flag in FLAGS if flag not in ("--grid", "2x1", "--least-views", "3")]
     flags[flags.index("-n") + 1], flags[flags.index("-r") + 1] = "30", "8"
-    command("train", CITY, "--coarse", "-o", tmp_path / "coarse", "-q", *flags,
-            *keys(tmp_path))
+    command("train", CITY, "--coarse", "-o", tmp_path / "coarse", "-q", *flags, *keys(tmp_path))
     command("partition", tmp_path, "--grid", "2x1", "--least-views", "3")
     for block in CityFolder(tmp_path).blocks():
         command("block", block.path, "-q")

@@ -95,8 +95,7 @@ def test_a_number_of_workers_below_one_is_refused():
 
 def test_a_job_begins_after_those_that_it_needs(tmp_path):
     first, second, *others = some_jobs(tmp_path, 4)
-    given = [replace(first, after=("003",)), replace(second, after=("000", "002")),
-             *others]
+    given = [replace(first, after=("003",)), replace(second, after=("000", "002")), *others]
     order = []
 
     def here(job):

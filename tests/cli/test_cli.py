@@ -23,6 +23,7 @@ from clsplat.io.models.ply import read_ply
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions
+from tests.command_line import clsplat_
 from tests.data.tiny_model import write_scene
 from tests.data.tiny_training import CITY
 
@@ -31,13 +32,8 @@ EMPTY_PATHS = [("train", "scene", "-o", ""), ("train", ""), ("compare", ""),
                ("train", "scene", "-o", "run", "--config", "")]
 
 
-def clsplat_(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
 def python(*arguments):
-    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True,
-                          check=False)
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False)
 
 
 def module(monkeypatch, name, **contents):

@@ -11,7 +11,7 @@ from clsplat.georeference import Georeference
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.models.formats import read_model, write_model
 from clsplat.io.runs.run import RunFolder
-from tests.cli.test_cli import clsplat_
+from tests.command_line import clsplat_
 from tests.data.cloud import cloud
 
 PLACE = Georeference("EPSG:32633", (465_000.0, 5_800_000.0, 50.0), "GPS", 1.0)

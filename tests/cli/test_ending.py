@@ -83,8 +83,7 @@ def test_ctrl_c_while_the_program_starts():
                     "    def find_spec(self, name, path=None, target=None):\n"
                     "        if name == 'clsplat.cli': os.kill(os.getpid(), signal.SIGINT)\n"
                     "sys.meta_path.insert(0, Kill())\nentry.run()")
-    assert (result.returncode, result.stderr) == (
-        130, "interrupted: give the same command again\n")
+    assert (result.returncode, result.stderr) == (130, "interrupted: give the same command again\n")
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="only Linux has a full device")

@@ -4,16 +4,15 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from clsplat.cli.main import main
 from clsplat.io.scenes.read import read_scene
+from tests.command_line import clsplat_
 from tests.data.survey import CRS, Survey
 from tests.io.shared_cases import CASES, needs_cases
 
 
 def georeference(*words):
-    result = CliRunner().invoke(main, ["georeference", *map(str, words)])
+    result = clsplat_("georeference", *words)
     return result.exit_code, result.output
 
 

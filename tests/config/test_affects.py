@@ -24,8 +24,7 @@ from tests.test_options import FIELDS, another, serving
 AFFECTS = {name: field.metadata["affects"] for name, field in FIELDS.items()}
 TINY = {**LEVELLED, "iterations": 12, "levels": (2.0, 1.0), "level_share": 0.4,
         "densify_from": 2, "densify_every": 2, "reproject": "off"}
-CHANGES = {"checkpoint_every": 4, "device": "cpu", "eval_every": 4,
-           "stop_at": 5}
+CHANGES = {"checkpoint_every": 4, "device": "cpu", "eval_every": 4, "stop_at": 5}
 
 
 def refuses(call, *arguments):

@@ -4,13 +4,11 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-from tests.data.tiny_training import CITY
+from tests.data.tiny_training import CITY, ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 RECORD = "open('imported', 'a').write(__name__)\n"  # what a module does that records its import
 BASE = "from clsplat import Plan, Schedule\nclass S(Schedule):\n"
 TINY = ("train", CITY, "-n", "4", "-r", "8", "-o", "run", "-q", "--test-every", "none",

@@ -12,7 +12,8 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
 from clsplat.training.loop import resume, train
 
-CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"
+ROOT = Path(__file__).resolve().parents[2]
+CITY = ROOT / "data_samples" / "city"
 
 # everything that happens in a real run, within 150 steps of 40 x 30 pixels
 EVENTFUL = {"schedule": "constant", "iterations": 150, "downscale": 8.0, "densify_from": 20,

@@ -71,8 +71,7 @@ def test_it_looks_almost_the_same(float_device):
     whole = render(model, camera, device=float_device)
 
     def score(fewer):
-        return psnr(np.clip(render(fewer, camera, device=float_device), 0, 1),
-                    np.clip(whole, 0, 1))
+        return psnr(np.clip(render(fewer, camera, device=float_device), 0, 1), np.clip(whole, 0, 1))
 
     largest = np.argsort(model.opacity_logits + model.log_scales.sum(axis=1))[-200:]
     chosen = selected(model, np.isin(np.arange(400), largest))

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.spatial import cKDTree
 
 from clsplat.camera import Camera
-from clsplat.cli.main import main
 from clsplat.device import Device
 from clsplat.estimate import forecast as module
 from clsplat.estimate.forecast import Memory, fitted, forecast, photo_bytes, pixels, tried_sizes
@@ -25,6 +23,7 @@ from clsplat.training.photos import Photos, size_note
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
 from clsplat.training.start.prepare import prepare
+from tests.command_line import clsplat_
 from tests.data.tiny_training import CITY, options_of, records, trained
 
 
@@ -245,10 +244,6 @@ def test_photos_that_are_reduced_are_named():
     assert size_note(small, options) is None
     assert size_note(large, resolve({}, {"max_resolution": 0})) is None
     assert size_note(large, resolve({}, {"downscale": 4.0})) is None  # -r does it already
-
-
-def clsplat_(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 @pytest.mark.slow

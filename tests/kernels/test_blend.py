@@ -274,8 +274,7 @@ def sub_tile_rows(kind):
         extent = np.stack([np.sqrt(rows[:, 3] * c / (a * c - b * b)), rows[:, 7]])
         edge = np.stack([8 * rng.integers(0, 8, 400), 4 * rng.integers(0, 9, 400)])
         side = rng.choice([-1, 1], (2, 400))
-        rows[:, :2] = (edge + 0.5 * side - side * extent
-                       + rng.uniform(-0.01, 0.01, (2, 400))).T
+        rows[:, :2] = (edge + 0.5 * side - side * extent + rng.uniform(-0.01, 0.01, (2, 400))).T
     return rows
 
 

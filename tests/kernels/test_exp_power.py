@@ -35,8 +35,7 @@ def exp_errors(device, tmp_path, *defines):
                     results=("real", "N"))
     powers = np.linspace(-6, 0, 1 << 14).astype(np.float32)
     results = device.empty(len(powers))
-    device.launch(kernel, defines, count=len(powers), powers=device.upload(powers),
-                  results=results)
+    device.launch(kernel, defines, count=len(powers), powers=device.upload(powers), results=results)
     return results.download() / np.exp(powers.astype(np.float64)) - 1
 
 

@@ -60,8 +60,7 @@ class Run:
         u = reference.radius(camera_of(*image.shape[:0:-1]), row)
         expected, by_transform, by_lens = reference.apply_adjoint(
             self.state[0][view], image, grad, row, u)
-        actual = stepped(
-            self.exposures, view, self.device.upload(image), self.device.upload(grad))
+        actual = stepped(self.exposures, view, self.device.upload(image), self.device.upload(grad))
         close(actual.download(), expected, precision_of(self.device), "gradient")
         if np.isfinite(by_transform).all():
             self.state = reference.step(*self.state, view, by_transform, RATE, self.pull)
@@ -206,8 +205,7 @@ def test_between_is_the_identity_where_there_is_no_way_back(device, last):
     transforms = run.state[0].copy()
     transforms[1, :, :3] = np.diag([1, 1, 0]) + [[0] * 3, [0] * 3, last]
     run.exposures.upload({**run.exposures.download(), "recentred": transforms})
-    assert np.array_equal(run.exposures.between([(0, 1)]).download()[0],
-                          np.eye(3, 4).ravel())
+    assert np.array_equal(run.exposures.between([(0, 1)]).download()[0], np.eye(3, 4).ravel())
 
 
 def test_responses_are_what_the_kernels_apply(device):

@@ -114,8 +114,7 @@ def test_each_form_has_its_own_launch_and_arguments(float_device):
                                              group=groups("size", "2", size="uint")), count="uint")
     rows = float_device.zeros(3)
     bound = kernel.bind(float_device, {"count": 5, "more": rows, "size": 3})
-    assert bound == Forms(item=([5, rows.buffer], 5, 1),
-                          group=([5, 3], 6, 2)).of(float_device)
+    assert bound == Forms(item=([5, rows.buffer], 5, 1), group=([5, 3], 6, 2)).of(float_device)
     with pytest.raises(ShapeError, match="size"):  # whatever the form: a call is right in both
         kernel.bind(float_device, {"count": 5, "more": rows})
 

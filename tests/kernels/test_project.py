@@ -48,8 +48,7 @@ def many_pairs_each(device, first):
 class Projected:
     """A case through cull, project and its adjoint; everything downloaded, by row."""
 
-    def __init__(self, device, case, antialiased=False, with_depth=True,
-                 splat_grads=one_pair_each):
+    def __init__(self, device, case, antialiased=False, with_depth=True, splat_grads=one_pair_each):
         defines = (("SH_REST", case["rows"]["sh_rest"].shape[1]), ("ANTIALIASED", int(antialiased)))
         rows = chain.upload_rows(device, case["rows"])
         camera = pack_camera(device, chain.camera_of(case), case["near"])
@@ -82,8 +81,7 @@ def check(device, case, antialiased, what, with_depth=True):
     visible, precision = actual.visible, chain.precision_of(device)
     assert np.array_equal(visible, np.flatnonzero(expected["visible"])), f"{what}: visible"
     conics = expected["conics"][visible]
-    close(actual.keys.view(np.float32), expected["depths"][visible], "float",
-          f"{what}: depth keys")
+    close(actual.keys.view(np.float32), expected["depths"][visible], "float", f"{what}: depth keys")
     parts = {"means": slice(0, 2), "opacities": 2, "cutoffs": 3, "colours": slice(8, 11),
              "depths": 11}
     for name, columns in parts.items():

@@ -74,8 +74,7 @@ def test_good_positions_count_more_than_bad_ones(flight):
     std = np.where(good, 0.02, 1.5)[:, None].repeat(3, axis=1)
     result = aligned(flight.places, flight.gps, flight.up, std=std)
     plain = aligned(flight.places, flight.gps, flight.up)
-    away = [np.abs(each.similarity(flight.places) - flight.true).max()
-            for each in (result, plain)]
+    away = [np.abs(each.similarity(flight.places) - flight.true).max() for each in (result, plain)]
     assert away[0] < 0.15 < away[1]
 
 

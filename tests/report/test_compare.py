@@ -3,14 +3,13 @@
 import json
 
 import pytest
-from click.testing import CliRunner
 
 from clsplat.cli.campaign import combinations, run_campaign
-from clsplat.cli.main import main
 from clsplat.errors import DeviceError, Interrupted
 from clsplat.io.runs.run import RunFolder, find_runs
 from clsplat.report import compare
 from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, warnings
+from tests.command_line import clsplat_
 from tests.data.made_runs import METHODS, made_run
 from tests.refusals import refused
 from tests.report.test_report import Balanced
@@ -79,8 +78,7 @@ def test_what_is_unfair_is_said(change, words):
 
 
 def test_a_fair_comparison_has_no_warning():
-    assert warnings(grouped([trained("a", schedule="sig"), trained("b", schedule="dash"),
-                             ])) == []
+    assert warnings(grouped([trained("a", schedule="sig"), trained("b", schedule="dash")])) == []
 
 
 def test_numbers():
@@ -168,7 +166,7 @@ def test_runs_are_found_two_levels_down(folder):
 def test_the_command(folder):
     started = RunFolder.create(folder / "sig.2")
     started.write_options({"schedule": "sig"})
-    done = CliRunner().invoke(main, ["compare", str(folder), "--psnr", "27", "--psnr", "40"])
+    done = clsplat_("compare", folder, "--psnr", 27, "--psnr", 40)
     assert done.exit_code == 0, done.output
     assert "to 27 dB, s  to 40 dB, s" in done.output
     assert "they have no records yet: sig.2" in done.output

@@ -6,9 +6,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from clsplat.cli.main import main
 from clsplat.io.runs.run import RunFolder
 from clsplat.report import run as run_page
 from clsplat.report import scores
@@ -16,6 +14,7 @@ from clsplat.report.charts import Line, _panel, drawn, score_chart, step_chart
 from clsplat.report.page import Table, full_name, page
 from clsplat.report.run import lead, level_table, write_report
 from tests.apps.browser import answer_of, needs_chromium
+from tests.command_line import clsplat_
 from tests.data.made_runs import made_records, made_run
 
 LINE = (np.array([1.0, 3.0, 5.0]), np.array([10.0, 20.0, 16.0]))
@@ -287,7 +286,7 @@ def test_any_run_has_a_page(name, tmp_path):
 def test_a_damaged_run_is_refused_in_one_line(command, damage, words, tmp_path):
     run = made_run(tmp_path / "run")
     damage(run)
-    done = CliRunner().invoke(main, [command, str(run.path)])
+    done = clsplat_(command, run.path)
     last = done.output.strip().splitlines()[-1]
     assert done.exit_code == 2 and last.startswith("error: ") and words in last
 

@@ -11,25 +11,20 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
-from click.testing import CliRunner
 
-from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.io.photos.images import read_image
 from clsplat.io.scenes.read import read_scene
 from clsplat.sfm import reconstruct as module
 from clsplat.sfm.photos import find_photos
 from clsplat.sfm.reconstruct import SfmOptions, Unfinished, is_finished, reconstruct
+from tests.command_line import clsplat_
+from tests.data.tiny_training import CITY
 from tests.sfm.cases import Lines, folder_of, source, synthetic
 
-CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"
 LATITUDE, LONGITUDE = 45.0, 9.0  # of the sample city: on the middle meridian of UTM zone 32
 NORTHING = 4_982_950.4  # of the sample city's origin in that zone
 METRES_PER_DEGREE = 111132.0, 78847.0  # of latitude and longitude there
-
-
-def clsplat_(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def photos_of(tmp_path):
@@ -68,8 +63,7 @@ def test_a_scene_whose_place_was_asked_for_is_kept_without_it(tmp_path, monkeypa
     photos = folder_of(tmp_path / "in", [f"{index}.jpg" for index in range(6)], size=(320, 240))
     mapped = []
 
-    monkeypatch.setattr(module, "map_photos", lambda *_: (
-        mapped.append(1), model)[1])
+    monkeypatch.setattr(module, "map_photos", lambda *_: (mapped.append(1), model)[1])
     for _ in range(2):
         result = clsplat_("sfm", "-q", photos, "-o", tmp_path / "out", "--crs", "EPSG:32632")
         assert result.exit_code == 2 and result.output.count("\n") == 1
@@ -112,8 +106,7 @@ def test_train_makes_a_scene_of_photos_once(tmp_path, monkeypatch):
     def made(source, output, options, progress, overwrite):
         asked.append((source, output))
         output.mkdir()
-        (output / "sfm.json").write_text(json.dumps({"source": str(source.resolve()),
-                                                     "photos": 3}))
+        (output / "sfm.json").write_text(json.dumps({"source": str(source.resolve()), "photos": 3}))
         raise InputError("enough")
 
     monkeypatch.setattr("clsplat.sfm.reconstruct.reconstruct", made)

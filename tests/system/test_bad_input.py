@@ -11,12 +11,11 @@ import sys
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from clsplat.cli.main import main
 from clsplat.io.photos.images import write_image
 from clsplat.io.scenes.colmap_files import write_colmap
 from clsplat.io.scenes.read import read_scene
+from tests.command_line import clsplat_
 from tests.data.tiny_model import HEIGHT, WIDTH, reconstruction, write_scene
 
 TRAIN = ("-q", "-n", "3", "--test-every", "4", "--sh-degree", "0")
@@ -77,13 +76,9 @@ SCENES = {
 }
 
 
-def clsplat(*words):
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
 def refused(*words, naming):
     """Run a command that must end in one line with these words, and exit code 2."""
-    result = clsplat(*words)
+    result = clsplat_(*words)
     assert result.exit_code == 2, result.output
     line, = result.output.splitlines()
     assert line.startswith("error: ")
@@ -102,7 +97,7 @@ def healthy(tmp_path_factory):
 def finished(healthy, tmp_path_factory):
     """The folder of a run on it; not to be changed."""
     folder = tmp_path_factory.mktemp("finished") / "run"
-    result = clsplat("train", healthy, "-o", folder, *TRAIN)
+    result = clsplat_("train", healthy, "-o", folder, *TRAIN)
     assert result.exit_code == 0, result.output
     return folder
 

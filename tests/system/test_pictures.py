@@ -4,11 +4,10 @@ import re
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from clsplat.cli.main import main
 from clsplat.evaluation.pictures import error_map
 from clsplat.io.photos.images import read_image
+from tests.command_line import clsplat_
 from tests.data.tiny_training import STILL, trained
 
 
@@ -38,11 +37,11 @@ def test_eval_writes_panels_that_it_names_and_renews_the_report(run):
     whole = page.read_text()
     before = shown(run)
     page.write_text(whole.replace("<h3>", "<h3>Old "))
-    words = ["eval", str(run.path), "--device", "cpu"]
-    done = CliRunner().invoke(main, [*words, "--no-images"])
+    words = "eval", run.path, "--device", "cpu"
+    done = clsplat_(*words, "--no-images")
     assert done.exit_code == 0, done.output
     assert "<h3>Old" in page.read_text() and not (run.path / "renders").exists()
-    done = CliRunner().invoke(main, words)
+    done = clsplat_(*words)
     assert done.exit_code == 0, done.output
     assert "left to right: photo, render, render after the colour fit, its error" in done.output
     assert f"report: {page}" in done.output

@@ -9,15 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.io.runs.run import RunFolder, read_poses
 from clsplat.schedule import sig
 from clsplat.training.loop import resume
 from clsplat.training.parts import image_term
 from clsplat.training.step import Step
+from tests.command_line import clsplat_
 from tests.data import tiny_training
 from tests.data.tiny_training import LEVELLED, model_digest, options_of, records, resumed, trained
 from tests.signals import listen
@@ -188,7 +187,7 @@ def undisturbed(tmp_path_factory):
 
 
 def invoked(*words):
-    result = CliRunner().invoke(main, [str(word) for word in words])
+    result = clsplat_(*words)
     assert result.exit_code == 0, result.output
     return result
 

@@ -192,8 +192,7 @@ def test_progress_is_told(item_device, city, tmp_path):
 @pytest.mark.slow
 def test_growth_helps(item_device, city, tmp_path):
     """To fit the photos, where points are few: every fortieth of the city's."""
-    thin = replace(city, points=city.points[::40], colours=city.colours[::40],
-                   observations=None)
+    thin = replace(city, points=city.points[::40], colours=city.colours[::40], observations=None)
     runs = [trained(tmp_path / name, thin, item_device, iterations=400, reset_every=0, **changes)
             for name, changes in (("still", {"densify_from": 1000}),
                                   ("grown", {"densify_from": 50, "densify_until": 200}))]

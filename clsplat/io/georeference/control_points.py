@@ -140,8 +140,7 @@ def _header(line: str) -> list[str]:
     return names if set(COLUMNS[:-1]) <= set(names) else []
 
 
-def _row(header: Sequence[str], number: int, line: str
-         ) -> tuple[str, _Place, _Mark]:
+def _row(header: Sequence[str], number: int, line: str) -> tuple[str, _Place, _Mark]:
     """The name of a point, its coordinates and its mark; ValueError names the fault."""
     cells = dict(zip(header, _cells(line)))
     missing = [name for name in COLUMNS[:-1] if not cells.get(name)]

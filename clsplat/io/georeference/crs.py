@@ -3,8 +3,6 @@
 Only this module uses pyproj, which takes a tenth of a second to import and is seldom needed.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ residuals. orientation.json has `up`, a unit vector, and in a run folder `first_
 both are in original coordinates.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
@@ -137,8 +135,7 @@ def placed(scene: Scene, folder: str | Path) -> Scene:
                    given_up=scene.given_up if orientation is None else orientation[0])
 
 
-def placement_comments(up: ArrayLike, georeference: Georeference | None = None
-                       ) -> tuple[str, ...]:
+def placement_comments(up: ArrayLike, georeference: Georeference | None = None) -> tuple[str, ...]:
     """Lines for the header of a model's file, in every format with room for text: which way is up,
     a unit vector in the axes of the file, and where its coordinates lie, if that is known.
 

@@ -49,8 +49,7 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
     source = photos or photo_folder(folder)
     names = sorted(set(map(str, arrays["files"])))  # of photos: a wide lens has several views
     check_marks(control.points, names)
-    metadata = {name: read_metadata(source / name) for name in names
-                if (source / name).is_file()}
+    metadata = {name: read_metadata(source / name) for name in names if (source / name).is_file()}
     reconstruction = read_reconstruction(model)
     try:
         placed = place_reconstruction(reconstruction, metadata, control, up=up)

@@ -31,8 +31,7 @@ def with_depths(scene: Scene, images: str) -> Scene:
     if not images:
         return scene
     folder = (scene.path if scene.path.is_dir() else scene.path.parent) / images
-    views = tuple(replace(view, depth=view.depth or map_of(folder, view))
-                  for view in scene.views)
+    views = tuple(replace(view, depth=view.depth or map_of(folder, view)) for view in scene.views)
     if not any(view.depth for view in views):
         there = "no such folder" if not folder.is_dir() else "has no depth map for any photo"
         raise InputError(f"--depth {images}: {folder}: {there}; name the maps after the photos, "

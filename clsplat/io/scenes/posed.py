@@ -182,8 +182,7 @@ def read_cloud(folder: Path, ply: Path | None, transform: NDArray[np.float64]) -
     for place in (folder, folder / "colmap"):
         if (place / "sparse").is_dir():
             _, arrays = read_model(place)
-            return Cloud(arrays["points"] @ transform[:, :3].T + transform[:, 3],
-                         arrays["colours"])
+            return Cloud(arrays["points"] @ transform[:, :3].T + transform[:, 3], arrays["colours"])
     return None
 
 

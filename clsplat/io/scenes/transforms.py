@@ -119,8 +119,7 @@ def _photo(folder: Path, file_path: object) -> tuple[str, Path]:
     """(name of the view, path) of a photo that may lack its suffix."""
     photo = text(file_path, "file_path").replace("\\", "/")
     if not isfile(folder / photo):
-        photo += next((suffix for suffix in SUFFIXES if isfile(folder / (photo + suffix))),
-                      "")
+        photo += next((suffix for suffix in SUFFIXES if isfile(folder / (photo + suffix))), "")
     parts = [part for part in PurePosixPath(photo).parts if part not in ("..", "/")]
     return "/".join(parts), folder / photo
 

@@ -183,8 +183,7 @@ def one_pixel(count):
         scene = plain(rng, count=count, sigma=(0.01, 0.3), turned=False, size=(5, 5))
         rows, camera = scene["rows"], scene["camera"]
         depth = np.exp(rng.uniform(*np.log([2, 8]), count))
-        rows["positions"] = world(
-            [2.5, 2.5] + rng.uniform(-0.1, 0.1, (count, 2)), depth, camera)
+        rows["positions"] = world([2.5, 2.5] + rng.uniform(-0.1, 0.1, (count, 2)), depth, camera)
         rows["opacity_logits"] = rng.uniform(-5.3, -5.1, count)
         return scene
     return make

@@ -31,8 +31,7 @@ def mutation(reader, seeds, seed, case):
     at = chance.randrange(len(seeds))
     name = chance.choice([name for name in seeds[at] if name.endswith(reader.files)])
     other = chance.choice(seeds)
-    return at, name, mutated(chance, seeds[at][name], other.get(name, seeds[at][name]),
-                             reader.text)
+    return at, name, mutated(chance, seeds[at][name], other.get(name, seeds[at][name]), reader.text)
 
 
 def written(files, folder):

@@ -176,7 +176,7 @@ def _made_options(folder):
             ("iterations = 500", "downscale = 2.5", "levels = [4.0, 2.0, 1.0]", "size = 'L'",
              "background = [0.0, 0.5, 1.0]", "sphere = false", "preset = \"paper\""),
             ("# a comment", "time-budget = '10m'", "schedule = 'dash'", "seed = 3", "init = 'sfm'",
-             "levels = [8.0, 4.0]", "antialiased = true", "grow-threshold = 1e-4"))):
+             "levels = [8.0, 4.0, 1.0]", "antialiased = true", "grow-threshold = 1e-4"))):
         (seed / "run.toml").write_text("\n".join(lines) + "\n")
         yield seed
 

@@ -130,5 +130,4 @@ def test_heights_keep_what_they_count_from(tmp_path, text, crs, height, target, 
     read = read_control_points(path, crs)
     assert (read.crs, read.vertical) == (target, vertical)
     assert read.points[0].position[2] == pytest.approx(height, abs=1e-4)
-    assert any("not labelled as" in note for note in read.notes) == (
-        "+" in crs and target != crs)
+    assert any("not labelled as" in note for note in read.notes) == ("+" in crs and target != crs)

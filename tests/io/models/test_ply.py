@@ -110,8 +110,7 @@ COLUMNS = ["anchor_x", "anchor_y", "anchor_z", "max_offset"]  # of the sphere
 
 def with_spheres(gaussians):
     rng = np.random.default_rng(8)
-    rows = {f.name: rng.normal(size=(gaussians.count, *f.shape)).astype(np.float32)
-            for f in SPHERE}
+    rows = {f.name: rng.normal(size=(gaussians.count, *f.shape)).astype(np.float32) for f in SPHERE}
     return Gaussians({**gaussians.rows, **rows}, gaussians.sh_degree)
 
 

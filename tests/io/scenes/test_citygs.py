@@ -11,13 +11,7 @@ from clsplat.io.scenes.read import read_scene
 from tests.data import layouts
 from tests.data.tiny_model import reconstruction, write_scene
 
-CITY = Path(__file__).resolve().parents[3] / "data_samples/city"
 HELD_OUT = {"000.jpg", "012.jpg", "028.jpg"}
-
-
-@pytest.fixture(scope="module")
-def city():
-    return layouts.every_fourth(read_scene(CITY))
 
 
 def name(old):

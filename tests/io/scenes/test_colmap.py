@@ -57,8 +57,7 @@ def test_observations_are_the_tracks(tmp_path, text):
         made.delete_observation(element.image_id, element.point2D_idx)
     made.delete_point3D(last - 3)
     photo = made.images[images["photo_2.png"]]
-    again = max(place for place, seen in enumerate(photo.points2D)
-                if seen.point3D_id == last)
+    again = max(place for place, seen in enumerate(photo.points2D) if seen.point3D_id == last)
     loose = next(place for place, seen in enumerate(photo.points2D) if not seen.has_point3D())
     assert again != loose
     made.add_observation(last, pycolmap.TrackElement(photo.image_id, loose))  # seen there twice

@@ -4,15 +4,14 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.scenes.read import read_scene
 from tests.data import layouts
+from tests.data.tiny_training import ROOT
 
-ROOT = Path(__file__).resolve().parents[3]
 HELD_OUT = {"004.jpg", "024.jpg"}  # the second and the seventh
 # stands for PyTorch where that is not installed; metadata are JSON then
 STUB = """import json
@@ -20,11 +19,6 @@ def load(path, map_location, weights_only):
     assert map_location == "cpu" and weights_only is True
     return json.load(open(path))
 """
-
-
-@pytest.fixture(scope="module")
-def city():
-    return layouts.every_fourth(read_scene(ROOT / "data_samples/city"))
 
 
 def save_json(table, path):

@@ -2,7 +2,6 @@
 
 import logging
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,13 +16,7 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
 from tests.data import layouts
 
-CITY = Path(__file__).resolve().parents[3] / "data_samples/city"
 HELD_OUT = {"004.jpg", "016.jpg"}
-
-
-@pytest.fixture(scope="module")
-def city():
-    return layouts.every_fourth(read_scene(CITY))
 
 
 def images(name):
