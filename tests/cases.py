@@ -159,7 +159,7 @@ def _random_rows(rng, count, seen_by, stored_degree):
     pixel = rng.uniform(-0.15, 1.15, (count, 2)) * [seen_by["width"], seen_by["height"]]
     sigma = np.exp(rng.uniform(np.log(0.7), np.log(6), (count, 3)))
     return {
-        "positions": _world(pixel, depth, seen_by),
+        "positions": world(pixel, depth, seen_by),
         "log_scales": np.log(sigma * depth[:, None] / seen_by["fx"]),
         "quaternions": rng.normal(0, 1, (count, 4)),
         "opacity_logits": rng.uniform(-4, 2, count),
@@ -168,7 +168,7 @@ def _random_rows(rng, count, seen_by, stored_degree):
     }
 
 
-def _world(pixel, depth, seen_by):
+def world(pixel, depth, seen_by):
     """World positions [N, 3] of pixels [N, 2] at depths [N]."""
     focal, centre = [seen_by["fx"], seen_by["fy"]], [seen_by["cx"], seen_by["cy"]]
     p = np.column_stack([(pixel - centre) / focal * depth[:, None], depth])
@@ -179,7 +179,7 @@ def _stack(rows, seen_by, rng):
     """All on the middle of the image and nearly opaque: alpha is clamped, pixels stop early."""
     count = len(rows["positions"])
     pixel = rng.normal(0, 1.5, (count, 2)) + [seen_by["width"] / 2, seen_by["height"] / 2]
-    rows["positions"] = _world(pixel, rng.uniform(2, 8, count), seen_by)
+    rows["positions"] = world(pixel, rng.uniform(2, 8, count), seen_by)
     rows["opacity_logits"] = rng.uniform(0, 9, count)
 
 
@@ -209,7 +209,7 @@ def _grazing(rows, seen_by, rng):
     reach into it."""
     count = len(rows["positions"])
     pixel = rng.uniform(-1, 2, (count, 2)) * [seen_by["width"], seen_by["height"]]
-    rows["positions"] = _world(pixel, rng.uniform(0.5, 4, count), seen_by)
+    rows["positions"] = world(pixel, rng.uniform(0.5, 4, count), seen_by)
     rows["log_scales"] = rng.uniform(-2, 0.5, (count, 3))
 
 
@@ -242,10 +242,10 @@ def _depths(rows, seen_by, rng):
     depth = np.exp(rng.uniform(*np.log([1.1 * NEAR, 1e6]), count))
     pixel = rng.uniform(0.1, 0.9, (count, 2)) * [seen_by["width"], seen_by["height"]]
     rows["log_scales"] += np.log(depth / rows["positions"][:, 2])[:, None]
-    rows["positions"] = _world(pixel, depth, seen_by)
+    rows["positions"] = world(pixel, depth, seen_by)
 
 
-def _edge_on(rows, seen_by, rng):
+def edge_on(rows, seen_by, rng):
     """Discs of 3 pixels whose plane goes through the camera, nearly: 1e-4 from it."""
     ray = rows["positions"] / np.linalg.norm(rows["positions"], axis=1, keepdims=True)
     normal = np.cross(ray, rng.normal(size=ray.shape))
@@ -255,6 +255,6 @@ def _edge_on(rows, seen_by, rng):
     rows["log_scales"] = np.log(np.array([3, 3, 3e-6]) * rows["positions"][:, 2:] / seen_by["fx"])
 
 
-_CHANGES = {"depths": _depths, "edge_on": _edge_on, "stack": _stack, "needles": _needles,
+_CHANGES = {"depths": _depths, "edge_on": edge_on, "stack": _stack, "needles": _needles,
             "discs": _discs, "giants": _giants, "specks": _specks, "grazing": _grazing,
             "near_plane": _near_plane, "quaternions": _quaternions, "opacities": _opacities}

@@ -28,7 +28,7 @@ DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglo
               if path.parent.name != "evidence")  # made of commands of earlier commits
 # what users read: they may have no checkout
 USER_PAGES = ("README.md", "CHANGELOG.md", *DOCS)
-PAGES = ("CONTRIBUTING.md", *USER_PAGES, *(page for page in DOCS if page not in USER_PAGES))
+PAGES = ("CONTRIBUTING.md", *USER_PAGES)
 # other programs that may be named; their options are not checked
 PROGRAMS = {"pip", "python", "python3", "apt-get", "apt", "brew", "conda", "git", "dask", "colmap",
             "ruff", "pytest", "mkdocs", "cd", "wsl", "sbatch", "clinfo", "docker", "flock", "dnf",
@@ -143,11 +143,7 @@ def untrue(words, users):
         return ""
     if program.startswith("--"):
         return next(filter(None, (untrue_option(word, users) for word in words)), "")
-    if len(words) == 1:
-        return untrue_file(program)
-    if FILES.fullmatch(program):
-        return untrue_file(program)
-    return ""
+    return untrue_file(program)
 
 
 def untrue_command(words):

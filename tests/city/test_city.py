@@ -29,8 +29,6 @@ pytestmark = pytest.mark.slow  # each decisions a city that is trained
 DEVICE = os.environ.get("CLSPLAT_TEST_DEVICES", "all").replace("all", "Portable")
 FLAGS = ("-n", "60", "-r", "4", "--sh-degree", "1", "--exposure", "off",
          "--grid", "2x1", "--least-views", "3", "--device", DEVICE)
-DEVICE_OF_1_GIB = SimpleNamespace(real=np.dtype(np.float32), handle=SimpleNamespace(
-    global_mem_size=2**30))
 
 
 def keys(folder, *more):

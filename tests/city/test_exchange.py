@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 
 from clsplat.cities import block as training_block
 from clsplat.cities import exchange
-from clsplat.cities import exchange as exchange_module
 from clsplat.cities.block import block_options, train_block
 from clsplat.cities.scene import BlockScene
 from clsplat.cities.workers import Workers
@@ -113,7 +112,7 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
         raise SystemExit(9)
 
     # in the exchange, after it, and where the training ends that follows it
-    for owner, name in ((exchange_module, "trainable"), (training_block, "train_or_resume"),
+    for owner, name in ((exchange, "trainable"), (training_block, "train_or_resume"),
                         (Checkpoint, "check_model"), (RunFolder, "save_model")):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, dies)

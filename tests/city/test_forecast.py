@@ -3,30 +3,26 @@
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
-import clsplat.cities.run as city_module
 from clsplat.cities import run
 from clsplat.cities.city import City
-from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.io.runs.city import CityFolder
-from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 from tests.city.test_city import a_card
+from tests.command_line import clsplat_
 from tests.data.tiny_training import CITY
 
 
-def test_the_expected_number_is_the_limit_of_the_schedule():
-    scene = read_scene(CITY)
-    points = len(scene.points)
-    pixels = sum(view.camera.width * view.camera.height for view in scene.views)
+def test_the_expected_number_is_the_limit_of_the_schedule(city):
+    points = len(city.points)
+    pixels = sum(view.camera.width * view.camera.height for view in city.views)
 
     def expected(**options):
         chosen = resolve({}, {"test_every": 0, **options})
-        return run.expected_gaussians(run.facts_of_whole(scene, chosen)[0], chosen)
+        return run.expected_gaussians(run.facts_of_whole(city, chosen)[0], chosen)
 
     assert expected(schedule="mcmc", max_gaussians=points + 7) == points + 7
     assert expected(schedule="mcmc", max_gaussians=7) == points, "it begins with so many"
@@ -35,9 +31,9 @@ def test_the_expected_number_is_the_limit_of_the_schedule():
     assert expected(pixels_per_gaussian=20.0, downscale=2.0) == pytest.approx(pixels / 80, rel=0.01)
 
 
-def test_blocks_that_share_a_device_fit_it_together(tmp_path):
+def test_blocks_that_share_a_device_fit_it_together(city, tmp_path):
     options, device = resolve({}, {}), a_card(2**36)
-    whole = City(CityFolder(tmp_path), read_scene(CITY), options, device)
+    whole = City(CityFolder(tmp_path), city, options, device)
 
     def largest(*given):
         return run.chosen_partition({}, whole, *given).block_gaussians
@@ -60,10 +56,9 @@ def test_workers_share_the_devices_that_are_named(tmp_path, monkeypatch, flags, 
         assert given[2:4] == numbers
         raise InputError("noted")
 
-    monkeypatch.setattr(city_module, "chosen_partition", noted)
-    with pytest.raises(SystemExit) as ended:
-        main(["city", str(CITY), "-o", str(tmp_path / "city"), "-q", *flags])
-    assert ended.value.code == 2 and not (tmp_path / "city").exists()
+    monkeypatch.setattr(run, "chosen_partition", noted)
+    result = clsplat_("city", CITY, "-o", tmp_path / "city", "-q", *flags)
+    assert result.exit_code == 2 and not (tmp_path / "city").exists()
 
 
 def test_a_scene_that_fits_in_one_block_needs_no_city():
@@ -83,8 +78,7 @@ def hours(table):
 
 
 def test_what_ten_times_the_photos_take():
-    device = SimpleNamespace(name="a card", real=np.dtype(np.float32),
-                             handle=SimpleNamespace(global_mem_size=2**30))
+    device = a_card(2**30)
     view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
     options = resolve({}, {"iterations": 1000})
     limit = run.gaussians_that_fit(device, options)

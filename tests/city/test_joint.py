@@ -4,7 +4,6 @@
 import shutil
 import signal
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,12 +22,11 @@ from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.training.interrupt import handled_interrupts
 from clsplat.training.loop import train
-from tests.city.test_city import DEVICE, city, model
+from tests.city.test_city import DEVICE, a_card, city, model
 from tests.city.test_merge import strewn
 from tests.data.tiny_training import CITY
 
-LARGE, SMALL = (SimpleNamespace(real=np.dtype(np.float32), handle=SimpleNamespace(
-    global_mem_size=size)) for size in (2**36, 2**20))
+LARGE, SMALL = a_card(2**36), a_card(2**20)
 
 
 def steps(folder, device=LARGE, given=(), tree=False, **options):

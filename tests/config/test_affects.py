@@ -12,13 +12,12 @@ from clsplat.cli.train import resumed_options
 from clsplat.config.option import differences, plain
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.runs.run import RunFolder
-from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
 from clsplat.report import compare
 from clsplat.report.groups import Trained, differing
 from clsplat.training.loop import resume, train
-from tests.data.tiny_training import CITY, LEVELLED, model_digest, options_of, trained
+from tests.data.tiny_training import LEVELLED, model_digest, options_of, trained
 from tests.test_options import FIELDS, another, serving
 
 AFFECTS = {name: field.metadata["affects"] for name, field in FIELDS.items()}
@@ -74,16 +73,15 @@ def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch
 
 
 @pytest.mark.slow
-def test_what_does_not_affect_the_model_leaves_its_bytes(item_device, tmp_path):
+def test_what_does_not_affect_the_model_leaves_its_bytes(item_device, city, tmp_path):
     """All of these options at once, and the rest of the run without them."""
     assert {*CHANGES} == {name for name, what in AFFECTS.items() if what != "model"}
-    scene = read_scene(CITY)
-    plain_run = trained(tmp_path / "plain", scene, item_device, **TINY)
+    plain_run = trained(tmp_path / "plain", city, item_device, **TINY)
     options = options_of(**{**TINY, **CHANGES})
     run = RunFolder.create(tmp_path / "run")
     with pytest.raises(Interrupted):
-        train(scene, options, item_device, run)
-    resume(scene, dataclasses.replace(options, stop_at=0), item_device, run)
+        train(city, options, item_device, run)
+    resume(city, dataclasses.replace(options, stop_at=0), item_device, run)
     assert model_digest(run) == model_digest(plain_run)
 
 

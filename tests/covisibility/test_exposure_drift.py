@@ -1,19 +1,16 @@
 """Exposure drift: gains of photos are measured, other differences between them are not."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from clsplat.camera import Camera
 from clsplat.covisibility.photometry import DRIFTS, exposure_drift
-from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
 from clsplat.training.photos import decoded
 
 WIDTH, HEIGHT, DEPTH = 64, 48, 5.0
-CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"
 
 
 def a_view(name=""):
@@ -88,12 +85,11 @@ def test_the_scatter_of_few_points_is_not_drift():
     assert exposure_drift([a_view()] * 300, photos, points, colours) < DRIFTS
 
 
-def test_the_sample_city_has_no_drift_until_its_photos_are_changed():
-    scene = read_scene(CITY)
-    views = [replace(view, camera=view.camera.reduced(4)) for view in scene.views]
+def test_the_sample_city_has_no_drift_until_its_photos_are_changed(city):
+    views = [replace(view, camera=view.camera.reduced(4)) for view in city.views]
     photos = list(decoded(views))
-    assert exposure_drift(views, photos, scene.points, scene.colours) < DRIFTS / 4
+    assert exposure_drift(views, photos, city.points, city.colours) < DRIFTS / 4
     gains = some_gains(len(views))
     changed = map(brightened, photos, gains)
-    assert exposure_drift(views, changed, scene.points, scene.colours) \
+    assert exposure_drift(views, changed, city.points, city.colours) \
         == pytest.approx(np.log(gains).std(), rel=0.1)

@@ -1,7 +1,6 @@
 """Source views: those that share enough points with the reference view at a good angle."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +8,6 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.covisibility.source_views import choose_source_views
 from clsplat.scene import Scene, View
-
-CALITERRA = Path(__file__).resolve().parents[3] / "shared" / "data" / "caliterra"
 
 
 def circle(*degrees, points=40, names=None):

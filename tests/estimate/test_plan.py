@@ -99,8 +99,7 @@ def test_photos_are_compared_while_growing_only():
 
 
 PARTS = [{"poses": "on"},
-         {"exposure": "on", "vignetting": "on", "reproject": "on",
-          "robust": "on"},
+         {"exposure": "on", "vignetting": "on", "reproject": "on", "robust": "on"},
          {"batch": 3},
          {"sh_degree": 1, "engine": "numpy"}]
 

@@ -1,6 +1,7 @@
 """What the tests of rendering share: cases on the device, and the same chain by the reference."""
 
 import functools
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -12,11 +13,29 @@ from tests.checks import close
 from tests.reference.blend import blend, blend_adjoint, fragile_pixels
 from tests.reference.project import project, project_adjoint
 
+UNWRITTEN = 2**32 - 7
 SUM_NAMES = ("means", "conics", "opacities", "colours", "depths")
 
 
 def precision_of(device):
     return "double" if device.real == np.float64 else "float"
+
+
+@contextmanager
+def longer_arrays(device, monkeypatch, length, spare):
+    """Arrays of this length have `spare` slots past their end, which must stay UNWRITTEN; yields
+    those that are made."""
+    empty, made = device.empty, []
+
+    def longer(shape, dtype=None):
+        if shape != length:
+            return empty(shape, dtype)
+        made.append(empty(length + spare, dtype))
+        made[-1].fill(UNWRITTEN)
+        return made[-1].narrow(length)
+    with monkeypatch.context() as patch:
+        patch.setattr(device, "empty", longer)
+        yield made
 
 
 def upload_rows(device, rows):

@@ -8,11 +8,11 @@ from clsplat import constants
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering import bin
 from clsplat.rendering.bin import HAS_BUCKETS, TooManyPairs, bin_splats
+from tests.kernels.chain import UNWRITTEN, longer_arrays
 from tests.kernels.test_bin import Binned, check, is_in_order, rows_of
 
 GROUP = 64  # of 32, Intel's compiler crashes
 RUN = GROUP * constants.PER_ITEM  # pairs that a group sorts at once
-UNWRITTEN = 2**32 - 7
 
 
 @pytest.fixture
@@ -112,18 +112,9 @@ def test_more_pairs_than_32_bits_count(float_device, monkeypatch):
 
 def in_a_room(device, monkeypatch, rows, order, room, counts=None, size=(61, 37)):
     """(Pairs, counts on the host, the two lists with slots past their end, which must stay)."""
-    spare, empty, made = 40, device.empty, []
     counts = new_counts(device, len(rows)) if counts is None else counts
     splats, order = device.upload(rows), device.upload(order.astype(np.uint32))
-
-    def larger(shape, dtype=None):
-        if shape != room:
-            return empty(shape, dtype)
-        made.append(empty(room + spare, dtype))
-        made[-1].fill(UNWRITTEN)
-        return made[-1].narrow(room)
-    with monkeypatch.context() as patch:
-        patch.setattr(device, "empty", larger)
+    with longer_arrays(device, monkeypatch, room, 40) as made:
         pairs = bin_splats(device, splats, counts, order, *size, room=room)
     written = [array.download() for array in made]
     assert len(pairs.sorted_splats) == room == pairs.count

@@ -7,12 +7,12 @@ from clsplat import constants
 from clsplat.constants import COUNT_MOST_VISIBLE, COUNT_NEEDED_VISIBLE, COUNT_VISIBLE, PER_ITEM
 from clsplat.primitives import compact as module
 from clsplat.primitives.compact import compact, new_counts
+from tests.kernels.chain import UNWRITTEN, longer_arrays
 from tests.reference.compact import compact as reference
 
 GROUP = 32
 CHUNK = GROUP * PER_ITEM
 SIZES = (0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 3 * CHUNK + 7)
-UNWRITTEN = 2**32 - 7
 
 
 @pytest.fixture(autouse=True)
@@ -27,19 +27,7 @@ def random_flags(count, seed=0):
 
 def into_a_room(device, monkeypatch, flags, counts, room):
     """All `room` slots, and further ones that must stay as they were."""
-    spare, empty = 9, device.empty
-    made = []
-
-    def larger(shape, dtype=None):
-        array = empty(shape, dtype)
-        if shape == room:
-            array = empty(room + spare, dtype)
-            array.fill(UNWRITTEN)
-            made.append(array)
-            array = array.narrow(room)
-        return array
-    with monkeypatch.context() as patch:
-        patch.setattr(device, "empty", larger)
+    with longer_arrays(device, monkeypatch, room, 9) as made:
         kept = compact(device, device.upload(flags), counts, room)
     assert len(kept) == room
     return made[0].download()

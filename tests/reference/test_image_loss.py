@@ -15,23 +15,14 @@ from tests.reference.statistics import accumulate
 
 
 @pytest.mark.parametrize("size", cases.IMAGE_SIZES)
-@pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
-def test_gradient_agrees_with_differences(size, weight):
+@pytest.mark.parametrize("weight, masked", [(0.0, False), (0.2, False), (1.0, False), (0.4, True)])
+def test_gradient_agrees_with_differences(size, weight, masked):
     x, y = cases.images(*size)
+    valid = cases.mask(*size) if masked else None
     adjoint_agrees(
-        lambda point: {"loss": np.array(image_loss(point["x"], y, weight)[0])},
-        lambda point, grads: {"x": image_loss(point["x"], y, weight)[1] * grads["loss"]},
+        lambda point: {"loss": np.array(image_loss(point["x"], y, weight, valid)[0])},
+        lambda point, grads: {"x": image_loss(point["x"], y, weight, valid)[1] * grads["loss"]},
         {"x": x}, what=f"image loss {size}")
-
-
-@pytest.mark.parametrize("size", cases.IMAGE_SIZES)
-def test_gradient_with_a_mask_agrees_with_differences(size):
-    x, y = cases.images(*size)
-    valid = cases.mask(*size)
-    adjoint_agrees(
-        lambda point: {"loss": np.array(image_loss(point["x"], y, 0.4, valid)[0])},
-        lambda point, grads: {"x": image_loss(point["x"], y, 0.4, valid)[1] * grads["loss"]},
-        {"x": x}, what=f"image loss with a mask {size}")
 
 
 def test_masked_pixels_are_like_those_beyond_the_border():

@@ -153,10 +153,6 @@ def test_overwriting_waits_until_all_is_in_order(healthy, finished):
     (("--sh-degree", "4"), ("sh-degree", "from 0 to 3")),
     (("--levels", "4", "--levels", "1"),
      ("--levels: level 4", "12 x 9 pixels", "tile of 16", "give smaller --levels")),
-    (("--levels", "2"), ("--levels 2", "end at 1", "4,2,1")),
-    (("--schedule", "constant", "--levels", "2", "--levels", "1"),
-     ("--levels", "has no effect with --schedule constant", "leave it out")),
-    (("--time-budget", "10m"), ("--time-budget", "-n", "leave one of them out")),
 ])
 @pytest.mark.one_in(5)
 def test_options_that_cannot_be_met(tmp_path, healthy, finished, words, naming):

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests import cases
+from tests.cases import world
 
 EPSILON = 2.0**-24  # of float32
 LOW_PASS = 0.3
@@ -73,13 +74,6 @@ def plain(rng, count=24, depth=(2.0, 8.0), sigma=(0.7, 6.0), turned=True, size=S
     return {"rows": rows, "camera": camera, "degree": 1, "near": cases.NEAR,
             "background": cases.single(np.array([0.2, 0.5, 0.9])),
             "drawn": np.ones(count, bool), "skipped": np.zeros(count, bool)}
-
-
-def world(pixel, depth, camera):
-    """World positions [N, 3] of pixels [N, 2] at depths [N]."""
-    focal, centre = [camera["fx"], camera["fy"]], [camera["cx"], camera["cy"]]
-    p = np.column_stack([(pixel - centre) / focal * depth[:, None], depth])
-    return (p - camera["translation"]) @ camera["rotation"]
 
 
 def stretched(longest, ratio, axes, opacity=0.0, **options):
@@ -153,15 +147,7 @@ def around_near(rng):
 def edge_on(rng):
     """Discs of 3 pixels whose plane goes through the camera, nearly: 1e-4 from it."""
     scene = plain(rng, turned=False)
-    rows = scene["rows"]
-    ray = rows["positions"] / np.linalg.norm(rows["positions"], axis=1, keepdims=True)
-    normal = np.cross(ray, rng.normal(size=ray.shape))
-    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True) + 1e-4 * ray
-    half = normal / np.linalg.norm(normal, axis=1, keepdims=True) + [0, 0, 1]  # from z to normal
-    rows["quaternions"] = np.column_stack(
-        [half[:, 2], np.cross([0, 0, 1], half)]) / np.linalg.norm(half, axis=1, keepdims=True)
-    rows["log_scales"] = np.log(np.array([3, 3, 3e-6])
-                                * rows["positions"][:, 2:] / scene["camera"]["fx"])
+    cases.edge_on(scene["rows"], scene["camera"], rng)
     return scene
 
 

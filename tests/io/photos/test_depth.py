@@ -6,13 +6,13 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from clsplat.errors import InputError
 from clsplat.io.photos.depth import map_of, read_depth, with_depths
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.lenses import undistorted_model
 from clsplat.io.scenes.read import read_scene
 from tests.data.tiny_model import HEIGHT, WIDTH, write_scene
 from tests.io.photos.test_lenses import DISTORTION, arrays_of, views_of
+from tests.refusals import refused
 
 METRES = np.random.default_rng(0).integers(500, 60000, (HEIGHT, WIDTH)) / 1000
 
@@ -86,11 +86,10 @@ def test_a_plane_in_the_faces_of_a_wide_lens(tmp_path):
     (lambda f: None, "--depth laser: .*has no depth map for any photo.*photo_0.png.png"),
     (lambda f: write_image(f / "photo_1.png", np.zeros((HEIGHT, WIDTH, 3))), "samples of uint8"),
     (lambda f: np.save(f / "photo_1.npy", METRES[:20]), "48x20 pixels and its photo 48x36"),
-    (lambda f: np.save(f / "photo_1.npy", METRES[None]), r"float64\[1, 36, 48\], not numbers"),
+    (lambda f: np.save(f / "photo_1.npy", METRES[None]), "float64[1, 36, 48], not numbers"),
     (lambda f: (f / "photo_1.npy").write_bytes(b""), "photo_1.npy: not a NumPy array"),
 ])
 def test_maps_that_do_not_fit(folder, spoil, words):
     spoil(folder / "laser")
-    with pytest.raises(InputError, match=words) as caught:
-        read_depth(with_depths(read_scene(folder), "laser").views[1])
-    assert "\n" not in str(caught.value)
+    refused(lambda: read_depth(with_depths(read_scene(folder), "laser").views[1]),
+            *words.split(".*"))

@@ -74,9 +74,7 @@ def test_truncated_is_refused(tmp_path, suffix, share):
     images.write_image(path, np.random.default_rng(2).integers(0, 256, (64, 48, 3), dtype=np.uint8))
     data = path.read_bytes()
     path.write_bytes(data[:int(len(data) * share)])
-    with pytest.raises(InputError, match=f"photo.{suffix}") as caught:
-        images.read_image(path)
-    assert "\n" not in str(caught.value)
+    refused(lambda: images.read_image(path), f"photo.{suffix}")
 
 
 def test_not_an_image(tmp_path):

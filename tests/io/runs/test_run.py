@@ -33,7 +33,6 @@ def same(loaded):
     assert state == STATE and list(arrays) == list(ARRAYS)
     for name, array in ARRAYS.items():
         assert arrays[name].dtype == array.dtype and np.array_equal(arrays[name], array)
-        assert arrays[name].shape == array.shape
 
 
 def test_create_open_overwrite(run):

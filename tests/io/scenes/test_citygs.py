@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clsplat.errors import InputError
 from clsplat.io.scenes.read import read_scene
 from tests.data import layouts
 from tests.data.tiny_model import reconstruction, write_scene
+from tests.refusals import refused
 
 HELD_OUT = {"000.jpg", "012.jpg", "028.jpg"}
 
@@ -42,8 +42,7 @@ def test_val_needs_no_points(tmp_path):
     (tmp_path / "val/sparse/0/points3D.bin").write_bytes(bytes(8))
     assert len(read_scene(tmp_path).points) == 30
     (tmp_path / "train/sparse/0/points3D.bin").write_bytes(bytes(8))
-    with pytest.raises(InputError, match="train.*holds no points3D"):
-        read_scene(tmp_path)
+    refused(lambda: read_scene(tmp_path), "train", "holds no points3D")
 
 
 def tiny(folder):
@@ -65,6 +64,4 @@ def test_unusable_scenes(tmp_path, spoil, words):
     folder = tiny(tmp_path / "town")
     assert len(read_scene(folder).views) == 8
     spoil(folder)
-    with pytest.raises(InputError, match=words) as caught:
-        read_scene(folder)
-    assert len(str(caught.value).splitlines()) == 1
+    refused(lambda: read_scene(folder), *words.split(".*"))

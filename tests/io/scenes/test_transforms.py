@@ -15,6 +15,7 @@ from clsplat.io.scenes.posed import sample_points
 from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
 from tests.data import layouts
+from tests.refusals import refused
 
 HELD_OUT = {"004.jpg", "016.jpg"}
 
@@ -203,13 +204,7 @@ def posed(change):
 def test_unusable_scenes(tmp_path, city, change, words):
     table = layouts.write_transforms(tmp_path, city)
     changed(tmp_path, table, **(change(table) if callable(change) else change))
-    refused(tmp_path, words)
-
-
-def refused(folder, words):
-    with pytest.raises(InputError, match=words.replace("(", r"\(").replace(")", r"\)")) as caught:
-        read_scene(folder)
-    assert len(str(caught.value).splitlines()) == 1
+    refused(lambda: read_scene(tmp_path), *words.split(".*"))
 
 
 @pytest.mark.parametrize("text, words", [
@@ -219,7 +214,7 @@ def refused(folder, words):
 ])
 def test_damaged_files(tmp_path, text, words):
     (tmp_path / "transforms.json").write_text(text)
-    refused(tmp_path, words)
+    refused(lambda: read_scene(tmp_path), *words.split(".*"))
 
 
 @pytest.mark.parametrize("table, frame, focal", [
