@@ -41,6 +41,8 @@ def trainings(monkeypatch):
 
     monkeypatch.setattr(judge.clsplat, "train", train)
     monkeypatch.setattr(judge, "choose_device", lambda *_, **__: None)
+    monkeypatch.setattr(judge, "further_scores", lambda made, device: {
+        "flip": 0.2, "flip_cc": 0.1, "psnr_cc_seen": 32.0, "seen": 0.9})
     return started
 
 
@@ -90,8 +92,8 @@ def test_the_page_says_how_they_compare(tmp_path, sets, trainings):
     assert "Choices were made on: one (offsets 0); two (offsets 0, 3)." in page
     assert "They are confirmed on: one (offsets 3)." in page
     # 31 and 26 dB at offset 0, 0.3 dB more at 3, 0.01 dB more for the second seed
-    assert ("| sig | 8 | 28.66 | 27.66 | 0.9000 | 0.8000 | 1,000 | 10.0 | 0.007 | two 26.16 |"
-            ) in page
+    assert ("| sig | 8 | 28.66 | 27.66 | 0.9000 | 0.8000 | 32.00 | 0.1000 | 1,000 | 10.0 | 0.007 |"
+            " two 26.16 |") in page
     assert ("| mcmc | -1.00 ± 0.00 | -1.00 ± 0.00 | -1.00 | -1.00 ± 0.00 | one -1.00 | one -1.00 |"
             in page)
     assert "| - (0 of 2) |" in page  # mcmc never gets so far

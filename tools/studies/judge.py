@@ -37,6 +37,7 @@ from clsplat.io.scenes.read import is_scene
 from clsplat.options import resolve
 from clsplat.schedule.registry import OURS
 from tools.studies.judge_page import Division, Result, is_chosen, write_page
+from tools.studies.seen import further_scores
 from tools.studies.study import Scene, flags_after, keep, keeps, outermost, refuse
 
 RESULTS = "results.jsonl"
@@ -253,7 +254,7 @@ def train_all(runs, file, arguments, begin):
         try:
             made = clsplat.train(scenes[run.scene.name], clsplat.TrainOptions(**run.options),
                                  output=folder, device=device, overwrite=True)
-            result = result_of(run, made)
+            result = {**result_of(run, made), **further_scores(made, device)}
         except Interrupted:
             raise
         except ClsplatError as error:

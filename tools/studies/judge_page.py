@@ -18,7 +18,9 @@ from tools.studies.study import cell, markdown
 CC, PLAIN = "psnr_cc", "psnr"
 # of a result: title, key, digits
 SCORES = (("PSNR cc, dB", CC, 2), ("PSNR, dB", PLAIN, 2), ("SSIM cc", "ssim_cc", 4),
-          ("SSIM", "ssim", 4), ("gaussians", "gaussians", 0), ("training, s", "train_seconds", 1))
+          ("SSIM", "ssim", 4), ("PSNR cc where seen, dB", "psnr_cc_seen", 2),
+          ("FLIP cc", "flip_cc", 4), ("gaussians", "gaussians", 0),
+          ("training, s", "train_seconds", 1))
 
 
 class Division(NamedTuple):
@@ -226,7 +228,7 @@ def score_table(compared):
                      "there.")
     return Table(f"Means over {len(compared.sets)} sets, {offsets} divisions",
                  ("", "runs", *(title for title, _, _ in SCORES), "spread, dB",
-                  "worst set, PSNR cc"), rows, range(1, 9), notes)
+                  "worst set, PSNR cc"), rows, range(1, 11), notes)
 
 
 def baseline_table(compared, baseline, chosen):
@@ -273,7 +275,7 @@ def set_table(compared, baseline):
                          *(cell(compared.of_set(name, more_than(baseline, key))[of], None, 2, "+")
                            for key in (CC, PLAIN))))
     return Table("By set", ("set", "", "runs", *(title for title, _, _ in SCORES), "spread, dB",
-                            f"cc to {baseline}", f"PSNR to {baseline}"), rows, range(2, 12), ())
+                            f"cc to {baseline}", f"PSNR to {baseline}"), rows, range(2, 14), ())
 
 
 def with_error(by_set):
