@@ -28,7 +28,7 @@ from clsplat.rendering.options import RenderingOptions
 from clsplat.schedule.mcmc import McmcOptions
 from clsplat.schedule.registry import OURS, others, schedule_of
 from clsplat.schedule.registry import REGISTERED as SCHEDULES
-from clsplat.schedule.sig import SigOptions
+from clsplat.schedule.sig_options import SigOptions
 from clsplat.schedule.steps import PUBLISHED_LENGTH
 from clsplat.schedule.taming import TamingOptions
 

@@ -13,7 +13,7 @@ from clsplat.cli.main import main
 from clsplat.config.option import checked, expected, flag_name, shown_name
 from clsplat.options import TrainOptions, from_toml, resolve, seconds_of, serves
 from clsplat.schedule.registry import OURS, schedule_of
-from clsplat.schedule.sig import PAPER, RELEASE
+from clsplat.schedule.sig_options import PAPER, RELEASE
 from tests.refusals import refused
 from tests.test_layout import ROOT
 
@@ -164,18 +164,19 @@ def test_choices_set_what_there_is_to_legal_values():
 
 @pytest.mark.parametrize("given, chosen", [
     ({"schedule": "constant"}, {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05,
-                                "prune_size": 0.1}),
-    ({"schedule": "dash"}, {"reset_every": 3000, "exposure": "off"}),
-    ({"schedule": "taming"}, {"reset_every": 3000, "exposure": "off", "prune_size": 0.1}),
+                                "prune_size": 0.1, "average": 0.0}),
+    ({"schedule": "dash"}, {"reset_every": 3000, "exposure": "off", "average": 0.0}),
+    ({"schedule": "taming"}, {"reset_every": 3000, "exposure": "off", "prune_size": 0.1,
+                              "average": 0.0}),
     ({"schedule": "mcmc"}, {"exposure": "off", "opacity_rate": 0.05, "position_noise": 5e5,
-                            "opacity_weight": 0.01, "scale_weight": 0.01}),
+                            "opacity_weight": 0.01, "scale_weight": 0.01, "average": 0.0}),
     ({"schedule": "sig"}, {}),
     ({"preset": "paper"}, PAPER),
     ({"preset": "release"}, RELEASE),
     ({"size": "L"}, {"grow_threshold": 1.25e-4}),
     ({"schedule": "constant", "size": "L"},
-     {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05,
-      "prune_size": 0.1, "grow_threshold": 1.25e-4}),
+     {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05, "prune_size": 0.1,
+      "average": 0.0, "grow_threshold": 1.25e-4}),
 ])
 def test_a_choice_sets_its_own_and_nothing_else(given, chosen):
     assert resolve({}, given) == TrainOptions(**given, **chosen)

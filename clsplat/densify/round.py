@@ -36,6 +36,7 @@ class Round:
     frozen : bool[N], gaussians that are not trained; they stay.
     gradient : returns float[N], mean screen gradients in NDC units, and waits for the device.
     scores : makes of these the scores float[N] of Taming 3DGS, and renders views.
+    weights : returns float[N], how many pixels of the training views show each, and renders all.
 
     Attributes
     ----------
@@ -47,10 +48,11 @@ class Round:
 
     def __init__(self, iteration: int, rows: dict[str, NDArray[np.float32]], extent: float,
                  options: "ScheduledOptions", prunes_large: bool, frozen: Mask,
-                 gradient: Callable[[], Floats], scores: Callable[[Floats], Floats]) -> None:
+                 gradient: Callable[[], Floats], scores: Callable[[Floats], Floats],
+                 weights: Callable[[], Floats]) -> None:
         self.iteration, self.rows, self.options, self.frozen = iteration, rows, options, frozen
         self.rng = np.random.default_rng([options.seed, iteration])
-        self._gradient, self._scores = gradient, scores
+        self._gradient, self._scores, self.weights = gradient, scores, weights
         # thresholds are taken to logarithms and logits rather than all rows from them
         x, y, z = rows["log_scales"].T
         self.largest = np.maximum(np.maximum(x, y), z)  # thirty times as fast as a reduction

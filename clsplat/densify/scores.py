@@ -1,4 +1,5 @@
-"""Scores by which gaussians are chosen to grow (Taming 3DGS, Mallick et al. 2024)."""
+"""Scores by which gaussians are chosen to grow (Taming 3DGS, Mallick et al. 2024), and the blending
+weights by which they stay."""
 
 import math
 from collections.abc import Iterable
@@ -21,6 +22,9 @@ VIEW_WEIGHT = 50.0
 COEFFICIENTS = {
     "gradient": 25.0, "opacity": 100.0, "depth": 5.0, "radius": 10.0, "volume": 25.0,
     "distance": 50.0, "weighted": 10.0, "pixels": 0.1, "weight": 50.0}
+
+
+SizedCamera = tuple[Array, int, int]  # packed camera real[27], width and height, pixels
 
 
 class ScoredView(Protocol):
@@ -79,6 +83,19 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
         scores[visible] += VIEW_WEIGHT * loss * sum(
             coefficient * _by_median(values[name]) for name, coefficient in COEFFICIENTS.items())
     return scores
+
+
+def blending_weights(renderer: Renderer, rows: Rows, cameras: Iterable[SizedCamera],
+                     sh_degree: int) -> NDArray[np.float64]:
+    """float64[N], how many pixels show each gaussian: its weights alpha T in blending, summed over
+    the pixels of the views of some cameras."""
+    weights = np.zeros(len(rows["positions"]))
+    for camera, width, height in cameras:
+        frame = renderer.render(rows, camera, width, height, sh_degree)
+        nothing = renderer.device.zeros((height, width))  # no weighted sum is needed
+        weights[frame.visible.download()] += contribution(
+            renderer.device, frame, nothing).download()[:, 1]
+    return weights
 
 
 def pixel_weights(image: NDArray[np.floating], photo: NDArray[np.uint8]) -> NDArray[np.float64]:

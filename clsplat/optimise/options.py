@@ -28,3 +28,7 @@ class OptimiseOptions:
         "learning rate of the positions", minimum=0.0, flag=False, measured=True)
     opacity_rate: float = option(0.025, "Optimisation", "learning rate of the opacity logits",
                                  minimum=0.0, flag=False, measured=True)
+    average: float = option(0.2, "Optimisation", "the finished gaussians are the mean of those in "
+                            "this last share of the steps, all of which are larger then",
+                            words={"none": 0.0}, minimum=0.0, maximum=1.0, flag=False,
+                            measured=True)

@@ -3,24 +3,26 @@
 Training begins with small images. When the scene frequency has converged at a level, the next one
 begins (FARS). Each level grows for a number of rounds and then settles (DS), with no more gaussians
 than its pixels can determine: the more the photos disagree about the colour of a place, the more
-pixels a gaussian needs for its own, and the fewer steps are taken. The paper has no safeguards;
-ours: rounds of growth disturb the frequency, so it is tested only after them, several tests in a
-row must agree, and each coarser level has a deadline, a share of the run, so that the finest always
-gets its time. The tests `paper` and `release` have no safeguards,
-as published.
+pixels a gaussian needs for its own, and the fewer steps are taken. From dense points, gaussians
+that far fewer pixels show are removed when growth has ended. The paper has no safeguards; ours:
+rounds of growth disturb the frequency, so it is tested only after them, several tests in a row must
+agree, and each coarser level has a deadline, a share of the run, so that the finest always gets its
+time. The tests `paper` and `release` have no safeguards, as published.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from clsplat.config.option import AUTO, is_auto, option
+from clsplat.config.option import is_auto
 from clsplat.errors import InputError
 from clsplat.schedule.convergence import judge
 from clsplat.schedule.plan import Plan, SceneFacts, Schedule, listed, sizes_text
+from clsplat.schedule.sig_options import SigOptions
 
 if TYPE_CHECKING:
+    from clsplat.densify.grow import Growth
+    from clsplat.densify.round import Round
     from clsplat.options import ScheduledOptions
 
 LEVELS = (5.0, 4.0, 3.0, 2.0, 1.0)
@@ -45,70 +47,10 @@ OBSERVE_STEPS = 100  # between samples of the frequency, fewer where levels are 
 SAMPLES_A_LEVEL = 8
 SETTLE_SHARE = 0.2  # of a level at most pass before its first round of growth (densify_from)
 GROWS_SHARE = 0.7  # of a level's time; in the rest the new gaussians are trained
+DENSE_GROWS_SHARE = 0.3  # from dense points, of which most places have one already
+LEAST_SHOWN = 0.3  # of the pixels that a gaussian needs: what fewer show goes when growth ends
 MOST_GROWTH = 5  # a round adds at most one gaussian for each so many (as in DashGaussian)
 REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
-
-# the choices of the authors' paper and of their released code, whose Adam is sparse
-PAPER = {
-    "iterations": 30_000, "init": "sfm",
-    "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
-    "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0, "densify_every": 200,
-    "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
-    "sphere": True, "sphere_reach": 15.0, "reproject": "on", "visits": 0.0, "exposure": "off"}
-RELEASE = {
-    "iterations": 30_000, "init": "sfm", "sphere": True,
-    "levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release", "convergence": "release",
-    "convergence_hits": 5, "level_share": 1.0, "densify_every": 200, "pixels_per_gaussian": 0.0,
-    "prune_size": 0.05, "opacity_rate": 0.02, "grow_threshold": 1.25e-4, "sphere_neighbours": 8,
-    "sphere_reach": 15.0, "sphere_shrink": 0.8, "sphere_rule": "release", "visits": 0.0,
-    "exposure": "off", "ssim_weight": 0.33}
-VARIANTS = ("robust", "paper", "release")
-
-
-def check_levels(levels: tuple[float, ...]) -> None:
-    """Raise ValueError for factors that do not fall to 1."""
-    if levels[-1:] != (1.0,) or any(a <= b for a, b in zip(levels, levels[1:])):
-        raise ValueError
-
-
-@dataclass(frozen=True)
-class SigOptions:
-    """Options of the `sig` schedule: when the next level begins, and how much each grows."""
-
-    preset: str = option("ours", "Schedule", "choices of the SIG paper, of its released code, or "
-                         "ours", main=True, choices=("ours", "paper", "release"), part="sig",
-                         sets={"paper": PAPER, "release": RELEASE})
-    levels: tuple[float, ...] = option(
-        (), "Levels", "down-sampling factors of the levels, from coarse to fine, such as 4,2,1; "
-        "auto: 5,4,3,2,1, or from dense points 8,4,2,1, without those whose images are too small "
-        "to matter", words={AUTO: ()},
-        minimum=1.0, expects="factors that fall and end at 1, such as 4,2,1", check=check_levels,
-        part="sig", measured=True)
-    frequency: str = option("robust", "Levels", "which scene frequency is tested for convergence",
-                            choices=VARIANTS, part="sig", flag=False, measured=True)
-    convergence: str = option("robust", "Levels", "how it is tested", choices=VARIANTS,
-                              sets={"paper": {"convergence_rate": 5e-5}}, part="sig", flag=False)
-    convergence_rate: float = option(
-        1e-4, "Levels", "a level has converged when the scene frequency grows by less than this "
-        "share of itself a step (convergence = paper: of the points' mean 1 / distance)",
-        minimum=0.0, part="sig", flag=False, measured=True)
-    convergence_hits: int = option(2, "Levels", "tests in a row that must find convergence",
-                                   minimum=1, part="sig", flag=False)
-    level_share: float = option(
-        AUTO, "Levels", "share of the run that the coarser levels may take together, each in "
-        "proportion to its resolution; auto: as much as its resolution is of that of all levels; "
-        "all: they have no deadlines", words={AUTO: AUTO, "all": 1.0}, minimum=0.0, maximum=1.0,
-        part="sig", flag=False, measured=True)
-    rounds: int = option(12, "Levels", "largest number of rounds of growth at each level",
-                         minimum=1, part="sig", flag=False, measured=True)
-    pixels_per_gaussian: float = option(
-        AUTO, "Levels", "the model grows only while each gaussian has at least this many training "
-        "pixels, at the level's size; auto: fewer where the photos agree about the colours",
-        words={AUTO: AUTO, "none": 0.0}, minimum=0.0, part="sig", measured=True)
-    visits: float = option(
-        AUTO, "Levels", "most steps for each training photo; auto: 75, or 3500 in all, and "
-        "fewer where the photos disagree about the colours, if -n is auto; all: any number",
-        words={AUTO: AUTO, "all": 0.0}, minimum=0.0, part="sig", measured=True)
 
 
 class Sig(Schedule):
@@ -116,9 +58,10 @@ class Sig(Schedule):
 
     parts = frozenset({"sig", "levels", "spheres", "reprojection"})
     keeps = ("index", "began", "rounds_taken", "carried", "grown_at", "full", "samples", "hits",
-             "latest")
+             "latest", "has_pruned")
     begins_dense = points_enter = True
     Options = SigOptions
+    prunes_unneeded = False  # in the round of growth that follows the step
 
     @classmethod
     def grows_until(cls, options: "ScheduledOptions") -> int:
@@ -191,6 +134,8 @@ class Sig(Schedule):
         self.grown_at = 0  # step of the last round
         self.full = facts.count >= self.ceiling
         self.samples: list[tuple[int, float]] = []
+        self.least_shown = LEAST_SHOWN * pixels_per_gaussian(options, facts) if facts.dense else 0.0
+        self.has_pruned = False  # what too few pixels show
 
     @property
     def guarded(self) -> bool:
@@ -220,13 +165,18 @@ class Sig(Schedule):
         return max(1, min(OBSERVE_STEPS, int(steps / SAMPLES_A_LEVEL)))
 
     @property
+    def grows_share(self) -> float:
+        """Share of this level's time in which it may grow."""
+        return DENSE_GROWS_SHARE if self.facts.dense else GROWS_SHARE
+
+    @property
     def every(self) -> int:
         """Steps between rounds of growth."""
         o = self.options
         if o.densify_every:
             return o.densify_every
         low, high = ROUND_STEPS
-        evenly = GROWS_SHARE * self.allotment / o.rounds
+        evenly = self.grows_share * self.allotment / o.rounds
         return max(1, int(min(max(evenly, min(low, self.allotment / SAMPLES_A_LEVEL)), high)))
 
     def plan(self, iteration: int) -> Plan:
@@ -236,10 +186,12 @@ class Sig(Schedule):
         last = max(self.grown_at - 1, self.began + settle)
         grows = in_rounds and before >= last + self.every
         growing = in_rounds and not self.full
+        self.prunes_unneeded = (self.last and not in_rounds and not self.has_pruned
+                                and self.least_shown > 0)
         progress = super().decay(iteration)
         return Plan(
             level=self.levels[self.index], degree=self.degree(iteration), gathers=growing,
-            grows=grows, resets_opacity=self._resets(before, growing),
+            grows=grows or self.prunes_unneeded, resets_opacity=self._resets(before, growing),
             prunes_large=o.prune_size > 0,
             decay=self.decay(iteration) if self.guarded else progress,
             regularises=o.reproject_weight * REPROJECT_DECAY**progress
@@ -249,7 +201,7 @@ class Sig(Schedule):
         """Whether this level, so many steps old, still has rounds of growth to come."""
         if self.facts.dense and not self.last:  # the next level brings points
             return False
-        in_time = since <= GROWS_SHARE * self.allotment or not self.guarded
+        in_time = since <= self.grows_share * self.allotment or not self.guarded
         return in_time and self.rounds_taken < self.options.rounds + self.carried
 
     def _resets(self, before: int, growing: bool) -> bool:
@@ -269,12 +221,21 @@ class Sig(Schedule):
 
     def target(self, iteration: int, count: int, above: int) -> int | None:
         """See `Schedule.target`: up to `ceiling`, a fifth more in each round."""
+        if self.prunes_unneeded:
+            self.has_pruned = True
+            return count
         self.rounds_taken += 1
         self.grown_at = iteration
         self.full = count >= self.ceiling
         if self.ceiling == math.inf:
             return None
         return max(count, min(int(self.ceiling), count + count // MOST_GROWTH))
+
+    def grow(self, round: "Round") -> "Growth":
+        """See `Schedule.grow`; once growth has ended, gaussians go that too few pixels show."""
+        if self.prunes_unneeded:
+            round.prunes |= (round.weights() < self.least_shown) & ~round.frozen
+        return super().grow(round)
 
     def observe(self, iteration: int, frequency: dict[str, float]) -> dict[str, Any] | None:
         """See `Schedule.observe`; the decision is that the next level begins."""
@@ -301,6 +262,10 @@ class Sig(Schedule):
                     "rounds": self.rounds_taken, **self.latest}
         self._advance(iteration)
         return decision
+
+    def load(self, state: dict[str, Any]) -> None:
+        """See `Schedule.load`; a run of an earlier version goes on without pruning at the end."""
+        super().load({"has_pruned": True, **state})
 
     def ahead(self, iteration: int) -> list[tuple[float, float]]:
         """See `Schedule.ahead`: coarser levels until their deadline, the rest at the finest."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import groupby
 
 from clsplat.schedule.plan import FEWEST_ENTERING, Schedule
-from clsplat.schedule.sig import VARIANTS
+from clsplat.schedule.sig_options import VARIANTS
 
 MOST_DENSIFIED = 0.4  # share of the gaussians that a round of growth densifies at most
 # In a round, a level densifies PER_PIXEL gaussians for each of its training pixels, times the POWER

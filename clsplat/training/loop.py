@@ -257,8 +257,7 @@ class Training:
         session, deadline = self.session, self.deadline
         step, iteration = session.step, session.iteration + 1
         plan = session.schedule.plan(iteration)
-        if deadline:
-            plan = deadline.allowed(plan)
+        plan = deadline.allowed(plan) if deadline else plan
         for part in session.parts:
             if values := part.before_step(session, plan):
                 self.recorder.log(part.name, **values)
@@ -269,7 +268,8 @@ class Training:
             session.recentre()
         self._measured = step.run(iteration, plan, session.samples(plan))
         self.progress.phase(training_at(plan.level))
-        grown = step.densify(iteration, plan, session.schedule, session.scoring_views)
+        grown = step.densify(iteration, plan, session.schedule, session.scoring_views,
+                             session.sized_cameras)
         session.iteration = iteration
         if not step.count:
             raise broken(self.run, f"all gaussians were pruned after step {iteration}",
@@ -283,7 +283,9 @@ class Training:
         frequency, decision = self._observe()
         if deadline:
             deadline.estimate()
-        if not self.finished() and self._evaluates():  # the last one follows the saved model
+        if self.finished():  # its evaluation follows the saved model
+            session.finish()
+        elif self._evaluates():
             self.evaluator.evaluate()
             if deadline:
                 deadline.note_evaluated(self.evaluator.latest_seconds)
@@ -364,8 +366,7 @@ class Training:
         return write
 
     def _finished_model(self) -> tuple[Gaussians, NDArray[np.floating], tuple[str, ...]]:
-        """The finished model with its offset and comments; what its parts have learned is written.
-        """
+        """The finished model with offset and comments; writes what its parts have learned."""
         run, session = self.run, self.session
         session.step.settle()
         for part in session.parts:

@@ -191,6 +191,9 @@ class Part:
     def opacities_reset(self, session: Session) -> None:
         """Follow a reset of the opacities."""
 
+    def finish(self, session: Session) -> None:
+        """Do what is due once, after the last step of the training."""
+
     def recentre(self) -> None:
         """Take out of what was learned that which all views have in common; once an epoch."""
 

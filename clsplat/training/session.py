@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from clsplat.densify.scores import SizedCamera
 from clsplat.device import Device
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
 from clsplat.gaussians import Gaussians
@@ -58,7 +59,8 @@ class Session:
         for part in self.parts:
             part.begin(self)
         model = Model(device, gaussians, options.engine)
-        self.step = Step(self.renderer, model, self.scene.extent, options, self.parts)
+        self.step = Step(self.renderer, model, self.scene.extent, prepared.pixel, options,
+                         self.parts)
         self._epoch = -1, np.zeros(0, np.int64)  # the latest one, and the order of its views
         self.use_level(self.photos.level)
 
@@ -141,6 +143,11 @@ class Session:
         for part in overriding(self.parts, "recentre"):
             part.recentre()
 
+    def finish(self) -> None:
+        """Let the parts end the training, after its last step."""
+        for part in self.parts:
+            part.finish(self)
+
     def scoring_views(self) -> list[ViewPass]:
         """Random training views, others at each step."""
         rng = np.random.default_rng([self.options.seed, 3, self.iteration])
@@ -161,6 +168,12 @@ class Session:
                 if (inputs := part.inputs(now, sample)) is not None:
                     part.respond(work, inputs)
             yield work
+
+    def sized_cameras(self) -> Iterator[SizedCamera]:
+        """The training views at this level, with what was learned of their cameras."""
+        for view in self.corrected(self.photos.views):
+            camera = view.camera
+            yield self.renderer.pack(camera), camera.width, camera.height
 
     def lay_over(self, iterations: int) -> None:
         """Fit the whole schedule to a number of steps, or to `Decisions.most_steps`."""

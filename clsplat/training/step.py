@@ -16,7 +16,7 @@ from clsplat.constants import (
 )
 from clsplat.densify.grow import Growth
 from clsplat.densify.round import Round
-from clsplat.densify.scores import Statistics, taming_scores
+from clsplat.densify.scores import SizedCamera, Statistics, blending_weights, taming_scores
 from clsplat.device import Array, Graph
 from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.image_loss import is_masked
@@ -53,12 +53,14 @@ class Step:
     of its kind. Whoever reads the model, the statistics or a counter gets them after all steps that
     were taken, and waits for these; whoever reads what a part has learned calls `settle` before.
 
-    `extent` is the size of the scene; of the `parts`, one at least is a term of the loss.
+    `extent` is the size of the scene, and `pixel` that of a pixel of the photos there; of the
+    `parts`, one at least is a term of the loss.
     """
 
-    def __init__(self, renderer: Renderer, model: Model, extent: float, options: ScheduledOptions,
-                 parts: Sequence[Part]) -> None:
-        self.renderer, self._model, self.extent, self.options = renderer, model, extent, options
+    def __init__(self, renderer: Renderer, model: Model, extent: float, pixel: float,
+                 options: ScheduledOptions, parts: Sequence[Part]) -> None:
+        self.renderer, self._model, self.options = renderer, model, options
+        self.extent, self.pixel = extent, pixel
         self.device, self.parts = renderer.device, parts
         self._statistics = Statistics(self.device, model.count)
         self._learning = [part.skipped for part in parts if part.skipped is not None]
@@ -135,7 +137,7 @@ class Step:
     def now(self, iteration: int, plan: Plan) -> Now:
         """A step, for the inputs of parts."""
         return Now(iteration, plan, (iteration - 1) / self.options.iterations,
-                   learning_rates(plan.decay, self.extent, self.options.opacity_rate))
+                   learning_rates(plan.decay, self.extent, self.pixel, self.options))
 
     def values(self, measured: list[Measured]) -> dict[str, float]:
         """The values of the terms of the loss, from what `run` returned; waits."""
@@ -255,11 +257,13 @@ class Step:
     # --- growth
 
     def densify(self, iteration: int, plan: Plan, schedule: Schedule,
-                scoring_views: ScoringViews) -> dict[str, int] | None:
+                scoring_views: ScoringViews, cameras: Callable[[], Iterable[SizedCamera]]
+                ) -> dict[str, int] | None:
         """Do the round of growth and the opacity reset that follow a step; `scoring_views` returns
-        some training views, for a schedule that scores gaussians. Returns how many gaussians were
-        cloned, split and pruned; None without growth."""
-        event = self._grow(iteration, plan, schedule, scoring_views) if plan.grows else None
+        some training views, and `cameras` those of all, for a schedule that renders them. Returns
+        how many gaussians were cloned, split and pruned; None without growth."""
+        event = (self._grow(iteration, plan, schedule, scoring_views, cameras) if plan.grows
+                 else None)
         if plan.resets_opacity:
             self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)))
         return event
@@ -295,7 +299,8 @@ class Step:
             part.rows_changed(self._model, growth)
 
     def _grow(self, iteration: int, plan: Plan, schedule: Schedule,
-              scoring_views: ScoringViews) -> dict[str, int]:
+              scoring_views: ScoringViews, cameras: Callable[[], Iterable[SizedCamera]]
+              ) -> dict[str, int]:
         model, statistics = self.model, self.statistics
         model.catch_up()
         self.rows_changed()
@@ -307,7 +312,8 @@ class Step:
             iteration, rows, self.extent, self.options, plan.prunes_large, frozen,
             statistics.mean_gradient, lambda gradient: taming_scores(
                 self.renderer, model.rows, scoring_views(), plan.degree, self.options.ssim_weight,
-                gradient)))
+                gradient),
+            lambda: blending_weights(self.renderer, model.rows, cameras(), plan.degree)))
         self.replace_rows(growth)
         self._choose_room(True)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}

@@ -32,7 +32,7 @@ class Halves(Schedule):
     Options = HalvesOptions
     parts = frozenset({"halves", "levels"})
     levels = (2.0, 1.0)
-    defaults = {"exposure": "off", "opacity_rate": 0.05}
+    defaults = {"exposure": "off", "opacity_rate": 0.05, "average": 0.0}
 
     def plan(self, iteration: int) -> Plan:
         """Decide one step, counted from 1."""

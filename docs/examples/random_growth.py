@@ -17,7 +17,7 @@ from clsplat import Plan, Schedule
 class RandomGrowth(Schedule):
     """Full resolution throughout; rounds of growth in the first half of the run."""
 
-    defaults = {"exposure": "off", "opacity_rate": 0.05}
+    defaults = {"exposure": "off", "opacity_rate": 0.05, "average": 0.0}
 
     def plan(self, iteration: int) -> Plan:
         """Decide one step, counted from 1."""

@@ -29,7 +29,7 @@ def rows_of(scales, opacities, seed=0):
 def round_of(rows, prunes_large=False, seed=0, **changes):
     """A round of growth after the step of the number of a seed."""
     return Round(seed, rows, EXTENT, TrainOptions(**changes), prunes_large,
-                 np.zeros(len(rows["positions"]), bool), None, None)
+                 np.zeros(len(rows["positions"]), bool), None, None, None)
 
 
 def growth_of(rows, moving, prunes_large=False, seed=0, **changes):

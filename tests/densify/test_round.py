@@ -33,16 +33,17 @@ def with_target(base, most=None):
     return Other()
 
 
-def a_round(frozen=(), transparent=(), iteration=501, **options):
+def a_round(frozen=(), transparent=(), iteration=501, count=COUNT, **options):
     """A round of small gaussians, of which none is split."""
     rng = np.random.default_rng(0)
-    rows = {"positions": rng.normal(size=(COUNT, 3)), "log_scales": np.full((COUNT, 3), -9.0),
-            "opacity_logits": np.where(np.isin(np.arange(COUNT), transparent), -9.0, 2.0),
-            "quaternions": rng.normal(size=(COUNT, 4))}
+    rows = {"positions": rng.normal(size=(count, 3)), "log_scales": np.full((count, 3), -9.0),
+            "opacity_logits": np.where(np.isin(np.arange(count), transparent), -9.0, 2.0),
+            "quaternions": rng.normal(size=(count, 4))}
     options = resolve({}, {"schedule": "constant", **options})
     rows = {name: values.astype(np.float32) for name, values in rows.items()}
     return Round(iteration, rows, 1.0, options, False,
-                 np.isin(np.arange(COUNT), frozen), lambda: GRADIENT, lambda gradient: SCORES)
+                 np.isin(np.arange(count), frozen), lambda: GRADIENT[:count],
+                 lambda gradient: SCORES, lambda: SCORES)
 
 
 def clones(growth):

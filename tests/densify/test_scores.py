@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import sobel
 
-from clsplat.densify.scores import pixel_weights, taming_scores
+from clsplat.densify.scores import blending_weights, pixel_weights, taming_scores
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import depth_order, render, size_of
@@ -116,3 +116,16 @@ def test_pixels_weigh_by_error_and_edges():
     weights[2, 1] = 0
     assert not weights[:, :4].any() and not weights[:, 6:].any()
     assert not pixel_weights(np.full((3, 8, 9), 0.5), np.zeros((3, 8, 9), np.uint8)).any()
+
+
+@pytest.mark.parametrize("name", [NAME, "opacities"])
+def test_blending_weights_share_what_a_view_covers(double_device, name):
+    """Of all gaussians in two views together: twice the opacity of one, summed over its pixels."""
+    case = cases.gaussians(name)
+    renderer, rows, frame = render(double_device, case)
+    camera = frame.camera, *size_of(case)
+    weights = blending_weights(renderer, rows, [camera, camera], case["degree"])
+    covered = 1 - frame.blended.transmittance.download()
+    assert weights.sum() == pytest.approx(2 * covered.sum(), rel=1e-9)
+    unseen = np.setdiff1d(np.arange(len(weights)), frame.visible.download())
+    assert not weights[unseen].any() and np.count_nonzero(weights) > len(weights) / 4

@@ -13,7 +13,7 @@ def a_round(gradient, threshold=1.0, scores=None, small=None, prunes=None, rng=N
     nothing = np.zeros(len(gradient), bool)
     options = resolve({}, {"grow_threshold": threshold})
     rows = {"log_scales": np.zeros((len(gradient), 3)), "opacity_logits": np.zeros(len(gradient))}
-    made = Round(1, rows, 1.0, options, False, nothing, lambda: gradient, lambda _: scores)
+    made = Round(1, rows, 1.0, options, False, nothing, lambda: gradient, lambda _: scores, None)
     made.rng, made.is_small = rng, small
     made.prunes = nothing if prunes is None else prunes
     return made

@@ -1,21 +1,21 @@
 """The SIG schedule: when levels change and growth happens, under made-up frequencies."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 
-from clsplat.schedule.sig import (
-    GROWS_SHARE,
-    LEVELS,
-    ROUND_STEPS,
-)
+from clsplat.schedule.sig import GROWS_SHARE, LEAST_SHOWN, LEVELS, ROUND_STEPS, Sig
+from tests.densify.test_round import a_round
 from tests.schedule.driven_sig import (
+    FACTS,
     PRESETS,
     decisions,
     drive,
     flat,
     lengths,
+    options_of,
     rising,
     rounds,
     sig,
@@ -237,3 +237,25 @@ def test_stopped_anywhere_it_goes_on_alike(preset, frequency):
             step, = drive(stopped, frequency, iteration, iteration)
             # nan is no equal of itself
             assert repr(step) == repr(whole[iteration - 1])
+
+
+def test_from_dense_points_what_few_pixels_show_goes_once_growth_ends():
+    dense = dataclasses.replace(FACTS, dense=True)
+    schedule, other = (Sig(options_of(pixels_per_gaussian=20.0), dense) for _ in range(2))
+    taken = drive(schedule)
+    *_, last = rounds(taken, 1.0)
+    assert schedule.has_pruned and not any(plan.gathers for _, plan, _ in taken[last:])
+    drive(other, until=last - 1)
+    assert other.plan(last).grows and other.prunes_unneeded and not other.has_pruned
+    few = np.array([0.9, 1.1, 0.5, np.inf]) * LEAST_SHOWN * 20
+    made = a_round(frozen=(2,), count=4)
+    made.weights = lambda: few
+    growth = other.grow(made)
+    assert growth.source.tolist() == [1, 2, 3] and growth.cloned == growth.split == 0
+    assert other.has_pruned and not other.plan(last + 1).grows
+    # a run of an earlier version, whose state lacks it, goes on without
+    state = {name: value for name, value in other.state().items() if name != "has_pruned"}
+    later = Sig(other.options, dense)
+    later.load(state)
+    assert not later.plan(last).grows
+    assert not Sig(options_of(), FACTS).least_shown

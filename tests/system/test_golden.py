@@ -41,8 +41,8 @@ def test_kernels_give_them(device):
     model = Model(device, Gaussians(rows, golden.DEGREE))
     options = TrainOptions(iterations=golden.STEPS, sh_every=golden.SH_EVERY,
                            sh_degree=golden.DEGREE, ssim_weight=golden.SSIM_WEIGHT,
-                           opacity_rate=golden.RATES["opacity_logits"])
-    step = Step(renderer, model, golden.EXTENT, options, [ImageTerm(golden.SSIM_WEIGHT)])
+                           opacity_rate=golden.RATES["opacity_logits"], average=0.0)
+    step = Step(renderer, model, golden.EXTENT, 0.0, options, [ImageTerm(golden.SSIM_WEIGHT)])
     schedule = Constant(options, None)
     packed = [renderer.pack(Camera(
         c["width"], c["height"], (c["fx"], c["fy"]), (c["cx"], c["cy"]), c["rotation"],

@@ -65,7 +65,7 @@ def test_a_step_uses_the_map_of_a_view_that_has_one(device):
     def moved(depth_weight, *depths):
         maps, values = DepthMaps(depth_weight), []
         step = Step(renderer, Model(device, Gaussians.from_points(
-            scene.points, scene.colours, 0), "device"), scene.extent,
+            scene.points, scene.colours, 0), "device"), scene.extent, 1e-3,
             TrainOptions(iterations=100), [ImageTerm(), *[maps] * (depth_weight > 0)])
         for number, depth in enumerate(depths, 1):
             maps.map_of = lambda view, depth=depth: depth

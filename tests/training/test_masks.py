@@ -60,7 +60,7 @@ def a_step(device, mask):
         photo = np.concatenate([photo, mask(height, width)[None] * np.uint8(255)])
     renderer = Renderer(device, 1, case["near"])
     rows = {name: values.astype(np.float32) for name, values in case["rows"].items()}
-    step = Step(renderer, Model(device, Gaussians(rows, 1), "device"), 1.0,
+    step = Step(renderer, Model(device, Gaussians(rows, 1), "device"), 1.0, 1e-3,
                 TrainOptions(iterations=100), [ImageTerm()])
     step.run(1, PLAN, [TrainingSample(0, renderer.pack(camera_of(case)), device.upload(photo))])
     return step, rows

@@ -98,7 +98,7 @@ def stepping(device, engine="device", rows=None, parts=(), **options):
     photo = np.random.default_rng(0).integers(0, 256, (3, height, width), np.uint8)
     renderer = Renderer(device, DEGREE, case["near"])
     model = Model(device, Gaussians(case_rows() if rows is None else rows, DEGREE), engine)
-    step = Step(renderer, model, 1.0, TrainOptions(iterations=100, **options),
+    step = Step(renderer, model, 1.0, 1e-3, TrainOptions(iterations=100, **options),
                 [*parts, ImageTerm()])
     return step, TrainingSample(0, renderer.pack(camera_of(case)), device.upload(photo))
 
@@ -245,14 +245,14 @@ def follow(device, gradients, scales, opacities=0.5, fields=LEARNED, **changes):
         given.rows["max_offsets"][:] = np.arange(1, given.count + 1)
     options = TrainOptions(schedule="constant", grow_threshold=1.0, prune_size=0.1,
                            **changes)
-    step = Step(Renderer(device, DEGREE, 0.2), Model(device, given), 10.0, options,
+    step = Step(Renderer(device, DEGREE, 0.2), Model(device, given), 10.0, 0.01, options,
                 [ImageTerm()])
     # a mean over the views that saw each: sums of two views
     step.statistics.grad_norm_sum.write(np.array(gradients, np.float32) * 2)
     step.statistics.seen_count.write(np.full(given.count, 2, np.uint32))
     facts = SceneFacts((640, 480), given.count, 1.0, photos=None, pixels=10**8)
     schedule = Constant(options, facts)
-    event = step.densify(7, GROWS, schedule, scoring_views=None)
+    event = step.densify(7, GROWS, schedule, scoring_views=None, cameras=None)
     assert len(step.statistics.grad_norm_sum) == step.model.count
     assert not step.statistics.grad_norm_sum.download().any()
     return event, step.model, given

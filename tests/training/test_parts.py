@@ -77,7 +77,7 @@ def one_step(device, *parts):
     photo = np.random.default_rng(0).integers(0, 256, (3, height, width), np.uint8)
     renderer = Renderer(device, 1, case["near"])
     rows = {name: values.astype(np.float32) for name, values in case["rows"].items()}
-    step = Step(renderer, Model(device, Gaussians(rows, 1), "device"), 1.0,
+    step = Step(renderer, Model(device, Gaussians(rows, 1), "device"), 1.0, 1e-3,
                 TrainOptions(iterations=100), parts)
     return step, TrainingSample(0, renderer.pack(camera_of(case)), device.upload(photo))
 

@@ -34,6 +34,7 @@ OPTIONS, METRICS = "options.json", "metrics.jsonl"
 CHECKPOINT = "checkpoint.npz"
 PICTURES = "renders/test"  # of held-out views, by `clsplat eval`
 MODEL, REPORT = "point_cloud.ply", "report.html"
+EARLIER = {"average": 0.0}  # options that earlier versions lacked, with what these did
 PART_OF_CITY = "part_of_city"  # key of options.json: whether it is a coarse run or a block
 # in the order of their removal
 FILES = (METRICS, CHECKPOINT, EXPOSURES, POSES, MODEL, REPORT, OPTIONS)
@@ -141,7 +142,8 @@ class RunFolder:
 
     def read_options(self) -> dict[str, Any]:
         """Read what `write_options` wrote."""
-        return read_object(self.path / OPTIONS, {}, "start the run again with --overwrite")
+        return {**EARLIER,
+                **read_object(self.path / OPTIONS, {}, "start the run again with --overwrite")}
 
     @property
     def is_begun(self) -> bool:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from clsplat.loss.options import REGISTERED
 from clsplat.training.part import Part
+from clsplat.training.parts.average import Average
 from clsplat.training.parts.depth_maps import DepthMaps
 from clsplat.training.parts.entering_points import EnteringPoints
 from clsplat.training.parts.exposures import PhotoResponses
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 PARTS: tuple[type[Part], ...] = (
     CameraPoses, PhotoResponses, ImageTerm, Reprojection, DepthMaps, Regularisers,
-    PositionNoise, OutlierMasks, EnteringPoints)
+    PositionNoise, OutlierMasks, EnteringPoints, Average)
 
 
 def parts_of(prepared: PreparedScene) -> list[Part]:

@@ -19,6 +19,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians, mean_inverse_distance
 from clsplat.io.photos.depth import with_depths
 from clsplat.options import RunOptions, ScheduledOptions, TrainOptions
+from clsplat.placement.corrections import typical_depth
 from clsplat.scene import LEAST_PARALLAX, Scene, View
 from clsplat.schedule.plan import SceneFacts, Schedule
 from clsplat.schedule.registry import schedule_of
@@ -83,6 +84,14 @@ class PreparedScene:
     def near(self) -> float:
         """Distance of the near plane, in units of the scene."""
         return self.scene.near(self.options.near)
+
+    @property
+    def pixel(self) -> float:
+        """World units: the size of a pixel of the photos at the scene, the median of some."""
+        views = self.train_views[::-(-len(self.train_views) // SAMPLED_PHOTOS)]
+        cameras = [view.camera for view in views]
+        return typical_depth(cameras, self.scene.points) / float(
+            np.median([camera.focal for camera in cameras]))
 
     def schedule(self, gaussians: Gaussians, options: ScheduledOptions | None = None) -> Schedule:
         """A new schedule for these initial gaussians; `options` replace those of the scene."""

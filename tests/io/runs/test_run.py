@@ -62,10 +62,11 @@ def test_options(run, tmp_path, monkeypatch):
                        "fingerprint": "f00", "device": "cpu"})
     record = RunFolder.open(run.path).read_options()
     assert record.pop("date") and record.pop("command", None) is None
-    assert record.pop("commit") is None or len(record) == 6
+    assert record.pop("commit") is None or len(record) == 7
     assert record == {"scene": "../../town", "scene_absolute": str(tmp_path / "town"),
                       "options": {"seed": 3, "init": "a.ply"}, "fingerprint": "f00",
-                      "device": "cpu", "version": clsplat.__version__}
+                      "device": "cpu", "version": clsplat.__version__,
+                      "average": 0.0}  # as in versions without it
     for text in ("{", "[]", ""):
         (run.path / "options.json").write_text(text)
         refused(run.read_options, "options.json")
