@@ -31,6 +31,7 @@ from clsplat.options import SceneOptions
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import Arrays, gaussians_of
+from clsplat.training.parts.average import Average
 from clsplat.training.recorder import LOG_EVERY
 
 STATISTICS = ("statistics.grad_norm_sum", "statistics.seen_count")
@@ -120,8 +121,10 @@ def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder]
     new = {name: np.concatenate([values, *(taken.pop(name) for taken in found)])
            for name, values in owned.items()}
     trains = trainable(scene, region, new["row.positions"], new[SCALES])
+    kept = {name: values for name, values in arrays.items()
+            if not name.startswith(f"{Average.name}.")}  # of rows that are others now
     run.save_checkpoint({
-        **arrays, **new, "frozen.rows": (~trains).astype(np.uint32),
+        **kept, **new, "frozen.rows": (~trains).astype(np.uint32),
         "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state)
 
 

@@ -19,9 +19,7 @@ from clsplat.primitives.reduce import add_to
 from clsplat.training.part import Part, State
 
 if TYPE_CHECKING:
-    from clsplat.densify.grow import Growth
     from clsplat.schedule.plan import Plan
-    from clsplat.training.model import Model
     from clsplat.training.session import Session
     from clsplat.training.start.prepare import PreparedScene
 
@@ -37,14 +35,11 @@ class Average(Part):
     def __init__(self) -> None:
         self._sums: dict[str, Array] = {}
         self._samples = 0
+        self._layout: object = None  # of the rows that were summed
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
         return prepared.options.average > 0
-
-    def rows_changed(self, model: Model, growth: Growth | None) -> None:
-        if growth:
-            self._sums, self._samples = {}, 0
 
     def before_step(self, session: Session, plan: Plan) -> dict[str, Any] | None:
         done, options = session.iteration, session.options
@@ -61,10 +56,12 @@ class Average(Part):
             row, values = session.model.rows[name], total.download() / self._samples
             values[~trained] = row.download()[~trained]
             row.write(values)
-        self._sums, self._samples = {}, 0
+        self._sums, self._samples = {}, 0  # if the run is resumed, the mean stays
 
     def _add(self, session: Session) -> None:
         session.model.catch_up()
+        if self._layout is not session.model.layout:  # the rows are others
+            self._sums, self._samples, self._layout = {}, 0, session.model.layout
         for field in LEARNED:
             row = session.model.rows[field.name]
             if self._samples:
@@ -76,9 +73,10 @@ class Average(Part):
     def state(self) -> State:
         sums: dict[str, NDArray[Any]] = {
             name: total.download() for name, total in self._sums.items()}
-        return {**sums, "samples": np.array(self._samples)}
+        return {**sums, "samples": np.array(self._samples)} if sums else {}
 
     def load(self, state: State, session: Session) -> None:
-        self._samples = int(state["samples"])
+        if state:
+            self._samples, self._layout = int(state["samples"]), session.model.layout
         self._sums = {name: session.device.upload(values) for name, values in state.items()
                       if name != "samples"}
