@@ -8,8 +8,8 @@ import numpy as np
 import scipy
 
 from clsplat.evaluation.held_out_responses import predicted_responses
-from clsplat.evaluation.metrics import fit_colour, psnr
-from clsplat.evaluation.views import FINAL_METRICS, evaluate_views
+from clsplat.evaluation.metrics import fit_colour, flip, psnr
+from clsplat.evaluation.views import evaluate_views
 from clsplat.io.runs.run import read_exposures
 
 LEAST_VIEWS = 2  # training views that show a place: one tells its colour, but not its depth
@@ -55,7 +55,7 @@ def further_scores(run, device):
         if seen.any():
             on_seen.append(psnr(fit_colour(image, photo, seen), photo, seen))
 
-    scores = evaluate_views(*run.opened(device, scene), views, keep, FINAL_METRICS,
+    scores = evaluate_views(*run.opened(device, scene), views, keep, {"flip": flip},
                             predicted_responses(scene.views, read_exposures(run.path)))
     return {"flip": scores["flip"], "flip_cc": scores["flip_cc"],
             "psnr_cc_seen": float(np.mean(on_seen)), "seen": float(np.mean(shares))}

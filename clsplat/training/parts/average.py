@@ -50,10 +50,11 @@ class Average(Part):
     def finish(self, session: Session) -> None:
         """Put the mean in the place of the gaussians that are trained."""
         self._add(session)
-        trained = (np.ones(session.step.count, bool) if session.model.frozen is None
-                   else session.model.frozen.download() == 0)
+        model = session.model
+        trained = (np.ones(model.count, bool) if model.frozen is None
+                   else model.frozen.download() == 0)
         for name, total in self._sums.items():
-            row, values = session.model.rows[name], total.download() / self._samples
+            row, values = model.rows[name], total.download() / self._samples
             values[~trained] = row.download()[~trained]
             row.write(values)
         self._sums, self._samples = {}, 0  # if the run is resumed, the mean stays
