@@ -20,7 +20,7 @@ class ImageLossOptions:
 class RegulariseOptions:
     """Regularisation of the gaussians that a view sees."""
 
-    opacity_weight: float = option(0.0, "Loss", "weight of the mean opacity of the gaussians",
+    opacity_weight: float = option(0.01, "Loss", "weight of the mean opacity of the gaussians",
                                    minimum=0.0, flag=False, measured=True)
     scale_weight: float = option(0.0, "Loss", "weight of the mean standard deviation of the "
                                  "gaussians, as a share of the scene extent", minimum=0.0,

@@ -7,7 +7,7 @@ class Constant(Schedule):
     """Full resolution throughout, growth and opacity resets at fixed intervals."""
 
     defaults = {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05, "prune_size": 0.1,
-                "average": 0.0}
+                "average": 0.0, "opacity_weight": 0.0}
 
     def plan(self, iteration: int) -> Plan:
         """See `Schedule.plan`.

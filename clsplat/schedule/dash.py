@@ -44,7 +44,8 @@ class Dash(Constant):
     but none prunes large gaussians.
     """
 
-    defaults = {"reset_every": 3000, "exposure": "off", "average": 0.0}
+    defaults = {"reset_every": 3000, "exposure": "off", "average": 0.0,
+                "opacity_weight": 0.0}
     parts = frozenset({"levels"})
     keeps = ("factor", "decay_began", "final_growth")
     fills_target = True

@@ -36,7 +36,7 @@ class Mcmc(Schedule):
     """Full resolution throughout; rounds of relocation and growth at fixed intervals."""
 
     defaults = {"exposure": "off", "opacity_rate": 0.05, "average": 0.0, "position_noise": 5e5,
-                "opacity_weight": 0.01, "scale_weight": 0.01}
+                "scale_weight": 0.01}
     parts = frozenset({"mcmc"})
     Options = McmcOptions
     fills_target = True

@@ -27,7 +27,8 @@ class Taming(Constant):
     """Full resolution throughout; the number of gaussians rises to `taming_budget` times the
     initial one, fast at first, along a parabola that is flat at `densify_until`."""
 
-    defaults = {"reset_every": 3000, "exposure": "off", "prune_size": 0.1, "average": 0.0}
+    defaults = {"reset_every": 3000, "exposure": "off", "prune_size": 0.1, "average": 0.0,
+                "opacity_weight": 0.0}
     parts = frozenset({"taming"})
     Options = TamingOptions
     fills_target = True
