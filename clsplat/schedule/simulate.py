@@ -72,5 +72,5 @@ def _grown(schedule: Schedule, iteration: int, count: int, densified: float) -> 
         target = min(limit, limit if target is None else target)
     if target is None:
         return count + above
-    room = max(0, target - count)
+    room = target - count  # below 0 where the round only removes
     return count + (room if schedule.fills_target else min(above, room))

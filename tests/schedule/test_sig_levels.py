@@ -10,6 +10,7 @@ from clsplat.options import resolve
 from clsplat.schedule.sig import (
     DENSE_LEVELS,
     LEVELS,
+    SHOWN,
     SMALLEST_SIDE,
     TILE,
     Sig,
@@ -57,7 +58,11 @@ def test_coarser_levels_do_not_grow_where_points_enter():
         schedule = Sig(options_of(levels=(2.0, 1.0), iterations=3000), facts)
         grown = {plan.level for plan in map(schedule.plan, range(1, 1000)) if plan.grows}
         assert grown == (set() if facts is dense else {2.0})
-    assert simulate(Sig(options_of(levels=(2.0, 1.0)), dense))[0].gaussians == 1000 / 2**2
+    segments = simulate(Sig(options_of(levels=(2.0, 1.0)), dense))
+    assert segments[0].gaussians == 1000 / 2**2
+    # for most of the finest level, those that photos show
+    assert segments[-1].gaussians == int(SHOWN * segments[-2].gaussians)
+    assert segments[-1].steps > 2000
 
 
 @pytest.mark.parametrize("side, steps, expected", [
