@@ -49,7 +49,7 @@ SETTLE_SHARE = 0.2  # of a level at most pass before its first round of growth (
 GROWS_SHARE = 0.7  # of a level's time; in the rest the new gaussians are trained
 DENSE_GROWS_SHARE = 0.3  # from dense points, of which most places have one already
 LEAST_SHOWN = 0.3  # of the pixels that a gaussian needs: what fewer show goes when growth ends
-SHOWN = 0.55  # share of the gaussians that then stay: 0.42 to 0.73 on seven sets
+STAYING = 0.55  # share of the gaussians that then stay: 0.42 to 0.73 on seven sets
 MOST_GROWTH = 5  # a round adds at most one gaussian for each so many (as in DashGaussian)
 REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
 
@@ -225,7 +225,7 @@ class Sig(Schedule):
         is about left where gaussians go that too few pixels show."""
         if self.prunes_unneeded:
             self.has_pruned = True
-            return int(SHOWN * count)
+            return int(STAYING * count)
         self.rounds_taken += 1
         self.grown_at = iteration
         self.full = count >= self.ceiling

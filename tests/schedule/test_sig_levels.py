@@ -10,8 +10,8 @@ from clsplat.options import resolve
 from clsplat.schedule.sig import (
     DENSE_LEVELS,
     LEVELS,
-    SHOWN,
     SMALLEST_SIDE,
+    STAYING,
     TILE,
     Sig,
     chosen_levels,
@@ -61,7 +61,7 @@ def test_coarser_levels_do_not_grow_where_points_enter():
     segments = simulate(Sig(options_of(levels=(2.0, 1.0)), dense))
     assert segments[0].gaussians == 1000 / 2**2
     # for most of the finest level, those that photos show
-    assert segments[-1].gaussians == int(SHOWN * segments[-2].gaussians)
+    assert segments[-1].gaussians == int(STAYING * segments[-2].gaussians)
     assert segments[-1].steps > 2000
 
 
