@@ -74,7 +74,7 @@ def test_few_points_enter_at_once():
     part, first = filled(side=12)
     assert first.count == 144 > FEWEST_ENTERING > 144 / 4
     assert all(np.array_equal(parents, np.arange(144)) for parents in part.parents)
-    for count, expected in ((1000, [100, 250, 1000]), (12, [12])):  # a forecast knows
+    for count, expected in ((1000, [100, 250, 550, 1000]), (12, [6, 12])):  # a forecast knows
         facts = replace(FACTS, count=count, dense=True)
         segments = simulate(Sig(sig_options(max_gaussians=count), facts))
         assert sorted({segment.gaussians for segment in segments}) == expected
