@@ -1,13 +1,12 @@
 """The schedule of 3DGS (Kerbl et al. 2023): the step number alone decides."""
 
-from clsplat.schedule.plan import Plan, Schedule
+from clsplat.schedule.plan import AS_PUBLISHED, Plan, Schedule
 
 
 class Constant(Schedule):
     """Full resolution throughout, growth and opacity resets at fixed intervals."""
 
-    defaults = {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05, "prune_size": 0.1,
-                "average": 0.0, "opacity_weight": 0.0}
+    defaults = {**AS_PUBLISHED, "reset_every": 3000, "opacity_rate": 0.05, "prune_size": 0.1}
 
     def plan(self, iteration: int) -> Plan:
         """See `Schedule.plan`.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.schedule.constant import Constant
-from clsplat.schedule.plan import Plan, SceneFacts
+from clsplat.schedule.plan import AS_PUBLISHED, Plan, SceneFacts
 
 if TYPE_CHECKING:
     from clsplat.densify.grow import Growth
@@ -44,8 +44,7 @@ class Dash(Constant):
     but none prunes large gaussians.
     """
 
-    defaults = {"reset_every": 3000, "exposure": "off", "average": 0.0,
-                "opacity_weight": 0.0}
+    defaults = {**AS_PUBLISHED, "reset_every": 3000}
     parts = frozenset({"levels"})
     keeps = ("factor", "decay_began", "final_growth")
     fills_target = True

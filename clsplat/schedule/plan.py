@@ -18,6 +18,8 @@ if TYPE_CHECKING:  # --help must not wait for numpy
 LIMITS = (("level", 1, 1e6), ("degree", 0, 3), ("decay", -1, math.inf),  # of a Plan
           ("regularises", 0, 1e6))
 STEPS_A_ROUND = 100  # between rounds of growth, by default
+# what the schedules of other papers leave out
+AS_PUBLISHED = {"exposure": "off", "average": 0.0, "opacity_weight": 0.0}
 FEWEST_ENTERING = 100  # points at a level: where they are fewer, the next finer begins at once
 
 
@@ -205,7 +207,8 @@ class Schedule:
     def target(self, iteration: int, count: int, above: int) -> int | None:
         """The number of gaussians that the round after step `iteration` may reach; None: all that
         exceed the growth threshold grow. Called once in each round, by `room`; `count` gaussians
-        are left by its pruning, and `above` of them exceed the threshold."""
+        are left by its pruning, and `above` of them exceed the threshold. Below `count` where a
+        round only removes, for forecasts."""
         return None
 
     def ahead(self, iteration: int) -> list[tuple[float, float]]:

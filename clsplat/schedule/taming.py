@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from clsplat.config.option import option
 from clsplat.schedule.constant import Constant
-from clsplat.schedule.plan import STEPS_A_ROUND
+from clsplat.schedule.plan import AS_PUBLISHED, STEPS_A_ROUND
 
 if TYPE_CHECKING:
     from clsplat.densify.grow import Growth
@@ -27,8 +27,7 @@ class Taming(Constant):
     """Full resolution throughout; the number of gaussians rises to `taming_budget` times the
     initial one, fast at first, along a parabola that is flat at `densify_until`."""
 
-    defaults = {"reset_every": 3000, "exposure": "off", "prune_size": 0.1, "average": 0.0,
-                "opacity_weight": 0.0}
+    defaults = {**AS_PUBLISHED, "reset_every": 3000, "prune_size": 0.1}
     parts = frozenset({"taming"})
     Options = TamingOptions
     fills_target = True
