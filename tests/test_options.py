@@ -18,7 +18,7 @@ from tests.refusals import refused
 from tests.test_layout import ROOT
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
-OF_SIG = {"average": 0.0, "opacity_weight": 0.0}  # what the other schedules leave out
+OF_SIG = {"average": 0.0, "opacity_weight": 0.0}  # what others leave out
 FLAGS = [name for name, field in FIELDS.items() if field.metadata["flag"]]
 
 
@@ -156,6 +156,7 @@ def test_choices_set_what_there_is_to_legal_values():
         (name, value, table) for name, field in FIELDS.items()
         for value, table in field.metadata["sets"].items()]
     assert len(tables) >= 9
+    assert all({**OF_SIG, "exposure": "off"}.items() <= table.items() for table in (PAPER, RELEASE))
     for choice, value, chosen in tables:
         assert value in (FIELDS[choice].metadata["choices"] or (True, False))
         for name, other in chosen.items():

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # --help must not wait for numpy
 LIMITS = (("level", 1, 1e6), ("degree", 0, 3), ("decay", -1, math.inf),  # of a Plan
           ("regularises", 0, 1e6))
 STEPS_A_ROUND = 100  # between rounds of growth, by default
-# what the schedules of other papers leave out
+# what schedules as published, also sig's, leave out
 AS_PUBLISHED = {"exposure": "off", "average": 0.0, "opacity_weight": 0.0}
 FEWEST_ENTERING = 100  # points at a level: where they are fewer, the next finer begins at once
 

@@ -3,23 +3,22 @@
 from dataclasses import dataclass
 
 from clsplat.config.option import AUTO, option
+from clsplat.schedule.plan import AS_PUBLISHED
 
 # the choices of the authors' paper and of their released code, whose Adam is sparse
 PAPER = {
-    "iterations": 30_000, "init": "sfm",
+    **AS_PUBLISHED, "iterations": 30_000, "init": "sfm",
     "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
     "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0, "densify_every": 200,
     "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
-    "average": 0.0, "opacity_weight": 0.0, "sphere": True, "sphere_reach": 15.0,
-    "reproject": "on", "visits": 0.0, "exposure": "off"}
+    "sphere": True, "sphere_reach": 15.0, "reproject": "on", "visits": 0.0}
 RELEASE = {
-    "iterations": 30_000, "init": "sfm", "sphere": True,
+    **AS_PUBLISHED, "iterations": 30_000, "init": "sfm", "sphere": True,
     "levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release", "convergence": "release",
     "convergence_hits": 5, "level_share": 1.0, "densify_every": 200, "pixels_per_gaussian": 0.0,
-    "prune_size": 0.05, "opacity_rate": 0.02, "average": 0.0,
-    "opacity_weight": 0.0, "grow_threshold": 1.25e-4, "sphere_neighbours": 8,
-    "sphere_reach": 15.0, "sphere_shrink": 0.8, "sphere_rule": "release", "visits": 0.0,
-    "exposure": "off", "ssim_weight": 0.33}
+    "prune_size": 0.05, "opacity_rate": 0.02,
+    "grow_threshold": 1.25e-4, "sphere_neighbours": 8, "sphere_reach": 15.0, "sphere_shrink": 0.8,
+    "sphere_rule": "release", "visits": 0.0, "ssim_weight": 0.33}
 VARIANTS = ("robust", "paper", "release")
 
 
