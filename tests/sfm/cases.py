@@ -3,6 +3,7 @@
 import numpy as np
 import OpenImageIO as oiio
 import pycolmap
+from scipy import ndimage
 
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.metadata import PhotoMetadata
@@ -35,6 +36,20 @@ def picture(height=48, width=64, seed=0):
         blob = np.exp(-((y - at[0])**2 + (x - at[1])**2) / (2 * size**2))
         pixels += blob[..., None] * rng.uniform(-90, 140, 3)
     return np.clip(pixels, 0, 255).astype(np.uint8)
+
+
+def texture(height, width, seed=0):
+    """uint8[height, width, 3], full of features."""
+    values = np.random.default_rng(seed).normal(size=(height, width, 3))
+    values = ndimage.gaussian_filter(values, (1.3, 1.3, 0))
+    return np.clip(128 + 60 * values / values.std(), 0, 255).astype(np.uint8)
+
+
+def unit_descriptors(rng, count):
+    """uint8[count, 128]: RootSIFT of nothing, each as far from the others as those of photos."""
+    values = rng.gamma(0.6, 1, (count, 128))
+    roots = 512 * np.sqrt(values / values.sum(axis=1, keepdims=True))
+    return np.minimum(roots, 255).round().astype(np.uint8)
 
 
 def folder_of(path, names, size=(64, 48), exif=None):
