@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsplat.cli.flags import PATH
+from clsplat.cli.flags import PATH, device_flag
 
 if TYPE_CHECKING:
     from clsplat.sfm.reconstruct import SfmOptions
@@ -37,19 +37,23 @@ SHOWN = 5  # photos that were not registered
               "are adjusted: OpenDroneMap's gcp_list.txt, or CSV.")
 @click.option("--check-point", "check_points", multiple=True, metavar="NAME",
               help="A point of --gcp that takes no part, but tells the error; may be repeated.")
+@click.option("--max-features", type=click.IntRange(100), default=8192, show_default=True,
+              help="Features of a photo; of more, the largest are kept.")
+@device_flag
 @click.option("--overwrite", is_flag=True, help="Replace a scene that this command has made.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
 def sfm(photos: Path, output: Path, masks: Path | None, matching: str, camera_model: str,
-        frames: int, crs: str, gcp: Path | None, check_points: tuple[str, ...], overwrite: bool,
-        quiet: bool) -> None:
+        frames: int, crs: str, gcp: Path | None, check_points: tuple[str, ...],
+        max_features: int, device: str, overwrite: bool, quiet: bool) -> None:
     """Make a scene from PHOTOS: a folder, also with subfolders, or a video.
 
-    Poses and points are found by structure from motion (COLMAP's library, on the CPU), lens
-    distortion is removed, and GPS gives metres and the direction up. The scene is a COLMAP folder;
+    Poses and points are found by structure from motion: features and matches on the device, the
+    rest by COLMAP's library on the CPU; GPS gives metres and the direction up. The scene is a COLMAP folder;
     its sfm.json tells what was registered, what was not and why.
     """
     from clsplat.sfm.reconstruct import SfmOptions
-    options = SfmOptions(masks, matching, camera_model.upper(), frames, crs, gcp, check_points)
+    options = SfmOptions(masks, matching, camera_model.upper(), frames, crs, gcp, check_points,
+                         max_features, device)
     _make_scene(photos, output, options, overwrite, quiet)
     if not quiet:
         click.echo(f"{output}: next, `clsplat train {output} -o RUN`")

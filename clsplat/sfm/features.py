@@ -1,6 +1,6 @@
-"""COLMAP's database of a reconstruction: cameras and photos, SIFT features and matches, on the CPU.
+"""COLMAP's database of a reconstruction: cameras, photos and their SIFT features.
 
-Photos are named by their number there, since COLMAP's lists of pairs are separated by spaces.
+Photos are named by their number there.
 
 Time and memory are those of one size of photo, whatever the camera's: large photos are made
 smaller by area averaging, small ones are enlarged, up to SIFT's usual factor 2. Coordinates are
@@ -8,29 +8,25 @@ those of the photo as it is stored.
 """
 
 import os
-import shutil
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.io.ahead import called_ahead
 from clsplat.io.photos.images import read_image
 from clsplat.io.photos.masks import read_mask
 from clsplat.sfm.photos import SourceCamera, SourcePhoto
 from clsplat.sfm.progress import Progress
+from clsplat.sfm.sift import Sift
 
 WORKING_SIZE = 1600  # long side in pixels of the image in which features are searched
 LARGEST_FACTOR = 2.0
-MOST_FEATURES = 6144  # 4096 give too few points to start from: docs/evidence/photos.md
-LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
-LEAST_FREE_BYTES = 1 << 26  # on the disk: more than the matches of so many pairs take
-PAIRS_AT_ONCE = 64  # after which they are in the database, so that a killed command keeps them
 
 
 def image_id(index: int) -> int:
@@ -82,85 +78,67 @@ def threads() -> int:
         os.cpu_count() or 1)
 
 
-def extract_features(path: Path, photos: Sequence[SourcePhoto], progress: Progress
-                     ) -> dict[str, str]:
-    """Write the features of photos into a database, except those that it has already; the reasons,
-    by name, why photos cannot be used: their pixels are damaged."""
-    failures = {}
+def extract_features(path: Path, photos: Sequence[SourcePhoto], device: Device, most: int,
+                     progress: Progress) -> dict[str, str]:
+    """Write the features of photos into a database, except those that it has already.
+
+    Parameters
+    ----------
+    most : features of a photo; of more, the largest are kept.
+
+    Returns
+    -------
+    The reasons, by name, why photos cannot be used: their pixels are damaged.
+    """
+    failures, sift = {}, Sift(device, most)
     with pycolmap.Database.open(path) as database:
         missing = [index for index in range(len(photos))
                    if not database.exists_descriptors(image_id(index))]
-        # few at once, since a photo's features take half a megabyte
-        found = called_ahead(_features, ((photos[index],) for index in missing), threads(),
-                             2 * threads() + 1)
-        for done, (index, features) in enumerate(zip(missing, found), len(photos) - len(missing)):
+        decoded = called_ahead(_decoded, ((photos[index],) for index in missing), threads(),
+                               threads() + 1)
+        for done, (index, found) in enumerate(zip(missing, decoded), len(photos) - len(missing)):
             progress.count("features of photo", done + 1, len(photos))
-            if isinstance(features, str):
-                failures[photos[index].name] = features
+            if isinstance(found, str):
+                failures[photos[index].name] = found
                 continue
             descriptors = pycolmap.FeatureDescriptors()
             descriptors.type = pycolmap.FeatureExtractorType.SIFT
-            keypoints, descriptors.data = features
+            keypoints, descriptors.data = _features(sift, photos[index], *found)
             with pycolmap.DatabaseTransaction(database):
                 database.write_keypoints(image_id(index), keypoints)
                 database.write_descriptors(image_id(index), descriptors)
     return failures
 
 
-def _features(photo: SourcePhoto) -> tuple[NDArray[np.float32], NDArray[np.uint8]] | str:
-    """float32[N, 4], x, y, scale and orientation, and uint8[N, 128]; or why there are none."""
-    options = pycolmap.FeatureExtractionOptions()
-    options.use_gpu, options.num_threads = False, 1
-    options.sift.max_num_features, options.sift.first_octave = MOST_FEATURES, 0
+def _working_size(photo: SourcePhoto) -> tuple[int, int]:
+    """Width and height of the image of a photo in which features are searched."""
     width, height = photo.metadata.width, photo.metadata.height
     factor = min(WORKING_SIZE / max(width, height), LARGEST_FACTOR)
-    size = max(1, round(width * factor)), max(1, round(height * factor))
+    return max(1, round(width * factor)), max(1, round(height * factor))
+
+
+def _decoded(photo: SourcePhoto) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None] | str:
+    """The pixels of a photo, uint8[h, w, 3], no more than are needed, and its mask; or why there
+    are none."""
+    data, size = photo.metadata, _working_size(photo)
     try:
-        pixels = read_image(photo.path, size if factor < 1 else None, levels=photo.levels)
-        mask = None if photo.mask is None else read_mask(photo.mask, photo.mask, (width, height))
+        return read_image(photo.path, size if size[0] < data.width else None, levels=photo.levels
+                          ), None if photo.mask is None else read_mask(
+                              photo.mask, photo.mask, (data.width, data.height))
     except InputError as error:
         return str(error)
-    bitmap = pycolmap.Bitmap.from_array((pixels @ LUMINANCE + 0.5).astype(np.uint8))
-    if factor > 1:
-        bitmap.rescale(*size)
-    # an extractor keeps buffers, so each photo has its own
-    extractor: Any = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
-    found, described = extractor.extract(bitmap)
-    keypoints = np.array(pycolmap.keypoints_to_matrix(found), np.float32).reshape(-1, 4)
-    keypoints[:, :2] *= width / size[0], height / size[1]
-    keypoints[:, 2] /= factor
-    descriptors = np.array(described.data, np.uint8).reshape(-1, 128)
+
+
+def _features(sift: Sift, photo: SourcePhoto, pixels: NDArray[np.uint8],
+              mask: NDArray[np.bool_] | None) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """float32[N, 4], x, y, scale and orientation, in pixels of the photo, and uint8[N, 128]."""
+    size = _working_size(photo)
+    keypoints, descriptors = sift.features(pixels, *size)
+    factor = np.divide((photo.metadata.width, photo.metadata.height), size)
+    keypoints[:, :2] *= factor
+    keypoints[:, 2] *= factor.mean()
     if mask is not None:
-        scale = mask.shape[1] / width, mask.shape[0] / height
+        scale = np.divide(mask.shape[::-1], (photo.metadata.width, photo.metadata.height))
         x, y = np.clip(keypoints[:, :2] * scale, 0, np.subtract(mask.shape[::-1], 1)).astype(int).T
         keypoints, descriptors = keypoints[mask[y, x]], descriptors[mask[y, x]]
     return keypoints, descriptors
-
-
-def match_pairs(path: Path, pairs: NDArray[np.int64], progress: Progress) -> None:
-    """Match pairs of photos, int[P, 2], and check them by the geometry of two views, except those
-    that the database, whose folder gets a temporary list, has already.
-
-    InputError if the disk is nearly full, in which case pycolmap would end the process.
-    """
-    options = pycolmap.FeatureMatchingOptions()
-    options.use_gpu, options.num_threads = False, threads()
-    geometry = pycolmap.TwoViewGeometryOptions()
-    geometry.ransac.random_seed = 0
-    listed = pycolmap.ImportedPairingOptions()
-    listed.match_list_path = path.with_name("pairs.txt")
-    with pycolmap.Database.open(path) as database:
-        missing = [pair for pair in pairs.tolist()
-                   if all(database.exists_descriptors(image_id(index)) for index in pair)
-                   and not database.exists_two_view_geometry(*map(image_id, pair))]
-    done = len(pairs) - len(missing)
-    for begin in range(0, len(missing), PAIRS_AT_ONCE):
-        progress.count("matching pair", done + begin, len(pairs))
-        if shutil.disk_usage(path.parent).free < LEAST_FREE_BYTES:
-            raise InputError(f"{path.parent}: the disk is nearly full; free some space, and give "
-                             "the command again, which goes on from here")
-        listed.match_list_path.write_text("".join(
-            f"{image_name(first)} {image_name(second)}\n"
-            for first, second in missing[begin:begin + PAIRS_AT_ONCE]), "utf-8")
-        pycolmap.match_image_pairs(path, options, listed, geometry, pycolmap.Device.cpu)
-    progress.count("matching pair", len(pairs), len(pairs))

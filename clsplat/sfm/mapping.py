@@ -1,8 +1,10 @@
 """Poses of cameras and points from the matches of a database.
 
 Global mapping (GLOMAP) places all photos at once, which is fast for many photos and does not fall
-apart where few matches join two parts. Incremental mapping follows where that does not register
-all photos that match others, or fits badly, and the better of both is kept.
+apart where few matches join two parts. It takes the longest tracks alone, some hundred a photo, as
+poses gain nothing by more; then all tracks are triangulated and the bundle is adjusted once.
+Incremental mapping follows where that does not register all photos that match others, or fits
+badly, and the better of both is kept.
 """
 
 import itertools
@@ -21,6 +23,10 @@ from clsplat.sfm.progress import Progress
 
 LARGEST_ASPECT = 0.02  # by which the two focal lengths of a camera may differ
 LARGEST_ERROR = 1.5  # pixels, the mean reprojection error above which a result fits badly
+TRACKS_A_PHOTO = 300  # in global mapping; with all it takes three times as long
+LARGEST_RESIDUAL, LEAST_ANGLE = 4.0, 1.5  # pixels, degrees; of points that stay, as in COLMAP
+LEAST_PHOTOS = 3  # that show a point; two may agree by accident
+MOST_STEPS, LEAST_GAIN = 20, 1e-5  # of the last adjustment
 SEED = 0
 
 
@@ -41,6 +47,9 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
     if not fixed and not all(map(_square, models)):
         _use_square_pixels(database, cameras)
         models = _global(database, work / "global", fixed)
+    if models:
+        largest = max(models, key=lambda model: model.num_reg_images())
+        models = [_triangulated(largest, database, work / "triangulation", fixed, progress)]
     # photos that match no other one cannot be placed in any way
     if matched and not any(model.num_reg_images() == matched
                            and model.compute_mean_reprojection_error() <= LARGEST_ERROR
@@ -77,6 +86,9 @@ def _use_square_pixels(path: Path, cameras: Sequence[SourceCamera]) -> None:
 def _global(database: Path, folder: Path, fixed: bool) -> list[Any]:
     options = pycolmap.GlobalPipelineOptions()
     options.random_seed = options.mapper.random_seed = SEED
+    options.mapper.track_required_tracks_per_view = TRACKS_A_PHOTO
+    options.mapper.skip_retriangulation = True  # see `_triangulated`
+    options.mapper.ba_num_iterations, options.mapper.ba_skip_fixed_rotation_stage = 2, True
     if fixed:
         options.mapper.bundle_adjustment.refine_focal_length = False
     else:
@@ -85,6 +97,27 @@ def _global(database: Path, folder: Path, fixed: bool) -> list[Any]:
         _models(pycolmap.calibrate_view_graph, database, calibration)
     # without photos below the second path, COLMAP leaves points without colours
     return _models(pycolmap.global_mapping, database, _emptied(folder), folder, options)
+
+
+def _triangulated(model: Any, database: Path, folder: Path, fixed: bool, progress: Progress) -> Any:
+    """A reconstruction with the points of all tracks, adjusted to them."""
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed, options.extract_colors, options.ba_global_max_refinements = SEED, False, 1
+    progress.phase("triangulation")
+    # without photos below the third path, COLMAP leaves points without colours
+    model = pycolmap.triangulate_points(model, database, _emptied(folder), folder, True, options)
+    adjustment = pycolmap.BundleAdjustmentOptions()
+    adjustment.print_summary, adjustment.refine_focal_length = False, not fixed
+    adjustment.ceres.loss_function_type = pycolmap.LossFunctionType.HUBER
+    solver = adjustment.ceres.solver_options
+    solver.max_num_iterations, solver.function_tolerance = MOST_STEPS, LEAST_GAIN
+    progress.phase("bundle adjustment")
+    pycolmap.bundle_adjustment(model, adjustment)
+    observations = pycolmap.ObservationManager(model)
+    observations.filter_all_points3D(LARGEST_RESIDUAL, LEAST_ANGLE)
+    observations.filter_points3D_with_short_tracks(LEAST_PHOTOS)
+    model.update_point_3d_errors()
+    return model
 
 
 def _incremental(database: Path, folder: Path, fixed: bool, registered: Callable[[], None]

@@ -14,7 +14,9 @@ import pycolmap
 import scipy
 from numpy.typing import NDArray
 
+from clsplat.device import Device
 from clsplat.sfm.features import image_id
+from clsplat.sfm.match import Described, nearest
 from clsplat.sfm.photos import SourcePhoto
 from clsplat.sfm.progress import Progress
 
@@ -26,19 +28,19 @@ BEFORE_AND_AFTER = 3  # photos by name with which a photo is matched
 SEQUENCE = 10  # the same in a sequence of photos or frames
 SIMILAR = 16  # most similar photos with which a photo is matched
 LARGEST_FEATURES = 256  # of a photo, by which similarity is judged
-COMPARED_AT_ONCE = 32  # photos; products of small matrices cost more in threads than in arithmetic
-MOST_RATIO = 0.85  # of the angles to the nearest and the second nearest descriptor
+COMPARED_AT_ONCE = 2048  # pairs
 METRES_PER_DEGREE = 111_320.0
 
 
-def choose_pairs(database: Path, photos: Sequence[SourcePhoto], method: str, progress: Progress
-                 ) -> tuple[NDArray[np.int64], str]:
+def choose_pairs(database: Path, photos: Sequence[SourcePhoto], method: str, device: Device,
+                 progress: Progress) -> tuple[NDArray[np.int64], str]:
     """Choose pairs of photos.
 
     Parameters
     ----------
     database : with the features of the photos.
     method : auto, sequence or all.
+    device : on which features are compared.
 
     Returns
     -------
@@ -57,7 +59,7 @@ def choose_pairs(database: Path, photos: Sequence[SourcePhoto], method: str, pro
                           "photos have it)")
     reach, kind = ((SEQUENCE, "photos that follow each other or have similar content")
                    if method == "sequence" else (BEFORE_AND_AFTER, "photos of similar content"))
-    rows = _unique(list(_similar(database, count, progress)), count, reach)
+    rows = _unique(list(_similar(database, count, device, progress)), count, reach)
     return rows, f"{len(rows):,} pairs of {kind}"
 
 
@@ -83,42 +85,23 @@ def _neighbours(photos: Sequence[SourcePhoto]) -> tuple[list[tuple[int, int]], f
             if other != row], float(np.median(distances[:, -1]))
 
 
-def _similar(database: Path, count: int, progress: Progress) -> Iterator[tuple[int, int]]:
+def _similar(path: Path, count: int, device: Device, progress: Progress
+             ) -> Iterator[tuple[int, int]]:
     """Each photo with those that share most of its largest features."""
-    descriptors = _largest(database, count)
+    with pycolmap.Database.open(path) as database:
+        described = Described.of(device, [
+            database.read_descriptors(image_id(index)).data[:LARGEST_FEATURES]
+            if database.exists_descriptors(image_id(index))  # else the photo is damaged
+            else np.empty((0, 128), np.uint8) for index in range(count)])
+    rows = np.column_stack(np.triu_indices(count, 1))
     shared = np.zeros((count, count), np.int32)
-    for first in range(count):
-        progress.count("comparing photo", first + 1, count)
-        for begin in range(first + 1, count, COMPARED_AT_ONCE):
-            others = slice(begin, min(begin + COMPARED_AT_ONCE, count))
-            shared[first, others] = shared[others, first] = _shared_features(
-                descriptors[first], descriptors[others])
+    for begin in range(0, len(rows), COMPARED_AT_ONCE):
+        progress.count("comparing pair", begin, len(rows))
+        some = rows[begin:begin + COMPARED_AT_ONCE]
+        first, second = some.T
+        shared[first, second] = shared[second, first] = [
+            len(matches) for matches in nearest(described, some, LARGEST_FEATURES)]
+    progress.count("comparing pair", len(rows), len(rows))
     for index, row in enumerate(shared):
         best = np.argsort(-row, kind="stable")[:SIMILAR]
         yield from ((index, int(other)) for other in best if row[other] > 0)
-
-
-def _shared_features(first: NDArray[np.float32], others: NDArray[np.float32]) -> NDArray[np.int64]:
-    """int64[S], how many unit vectors [M, 128] are much nearer to one of another set [S, M, 128]
-    than to the rest of that set; zero vectors count as none."""
-    sets, size, _ = others.shape
-    cosines = (first @ others.reshape(sets * size, -1).T).reshape(len(first), sets, size)
-    angles = np.arccos(np.clip(np.partition(cosines, -2, axis=2)[:, :, -2:], -1, 1))
-    counts: NDArray[np.int64] = (angles[:, :, 1] < MOST_RATIO * angles[:, :, 0]).sum(axis=0)
-    return counts
-
-
-def _largest(path: Path, count: int) -> NDArray[np.float32]:
-    """The descriptors of the largest features of each photo as unit vectors, [count,
-    LARGEST_FEATURES, 128]; zero where a photo has fewer."""
-    result = np.zeros((count, LARGEST_FEATURES, 128), np.float32)
-    with pycolmap.Database.open(path) as database:
-        for index in range(count):
-            if not database.exists_descriptors(image_id(index)):  # the photo is damaged
-                continue
-            scales = database.read_keypoints(image_id(index))[:, 2]
-            largest = np.argsort(-scales, kind="stable")[:LARGEST_FEATURES]
-            values = database.read_descriptors(image_id(index)).data[largest].astype(np.float32)
-            result[index, :len(values)] = values / np.maximum(
-                np.linalg.norm(values, axis=1, keepdims=True), 1)
-    return result

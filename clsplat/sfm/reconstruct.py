@@ -14,6 +14,7 @@ from typing import Any
 import pycolmap
 
 from clsplat import __version__
+from clsplat.device import choose_device
 from clsplat.errors import InputError, reason
 from clsplat.io.folders import link_file, make_folder
 from clsplat.io.georeference.adjustment import check_marks
@@ -36,6 +37,7 @@ from clsplat.sfm.mapping import map_photos
 from clsplat.sfm.pairs import choose_pairs
 from clsplat.sfm.photos import SourceCamera, SourcePhoto, find_photos, is_video
 from clsplat.sfm.progress import Progress
+from clsplat.sfm.two_views import match_pairs
 from clsplat.sfm.video import check_video, extract_frames
 
 WRITTEN = (IMAGES, MASKS, "sparse", "georeference.json", "orientation.json")
@@ -57,6 +59,8 @@ class SfmOptions:
     control_points : a file of ground control points, to which cameras and points are adjusted, or
         None.
     check_points : names of those that take no part and show the error.
+    max_features : of a photo; of more, the largest are kept.
+    device : on which features are found and matched, as for `clsplat.Device`.
     """
 
     masks: Path | None = None
@@ -66,6 +70,8 @@ class SfmOptions:
     crs: str = ""
     control_points: Path | None = None
     check_points: tuple[str, ...] = ()
+    max_features: int = 8192
+    device: str = "auto"
 
 
 def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progress,
@@ -115,10 +121,11 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
         cameras = inputs.cameras_of(photos, options.camera_model)
         masks = options.masks and str(options.masks.resolve())
         unfinished.open(photos, {"masks": masks, "matching": options.matching,
+                                 "max_features": options.max_features,
                                  "camera_model": options.camera_model}, overwrite)
         database = unfinished.folder / "database.db"
         method = "sequence" if is_video(source) and options.matching == "auto" else options.matching
-        damaged, matching = _match(database, photos, cameras, method, progress)
+        damaged, matching = _match(database, photos, cameras, method, options, progress)
         if not unfinished.has_model:
             unfinished.keep(map_photos(database, cameras, len(photos), progress), photos)
         model, metadata = unfinished.model(), {photo.name: photo.metadata for photo in photos}
@@ -150,15 +157,16 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
 
 
 def _match(database: Path, photos: Sequence[SourcePhoto], cameras: Sequence[SourceCamera],
-           method: str, progress: Progress) -> tuple[dict[str, str], str]:
+           method: str, options: SfmOptions, progress: Progress) -> tuple[dict[str, str], str]:
     """Fill the database; why photos cannot be used, by name, and which pairs were matched."""
+    device = choose_device(options.device)
     try:
         if not database.exists():
             features.create_database(database, cameras)
-        damaged = features.extract_features(database, photos, progress)
-        pairs, why = choose_pairs(database, photos, method, progress)
+        damaged = features.extract_features(database, photos, device, options.max_features, progress)
+        pairs, why = choose_pairs(database, photos, method, device, progress)
         progress.message(f"matching {why}")
-        features.match_pairs(database, pairs, progress)
+        match_pairs(database, pairs, device, progress)
     except RuntimeError as error:  # of SQLite in pycolmap, which gives no other reason
         raise InputError(f"{database}: cannot be written or read ({reason(error)}); check that "
                          "the disk has space, and give the command again") from error

@@ -159,7 +159,7 @@ def test_a_killed_reconstruction_continues_and_ends_in_metres(tmp_path):
     truth = copied_city(tmp_path / "in")
     command = [sys.executable, "-m", "clsplat", "sfm", str(tmp_path / "in"), "-o",
                str(tmp_path / "out")]
-    for waited_for in (".sfm/database.db", ".sfm/pairs.txt", ".sfm/global", "images"):
+    for waited_for in (".sfm/database.db", ".sfm/global", ".sfm/triangulation", "images"):
         process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
         while not (tmp_path / "out" / waited_for).exists():
             assert process.poll() is None
