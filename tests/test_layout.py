@@ -60,7 +60,8 @@ USED_BY_APPS = {"camera", "constants", "device", "edit", "errors", "evaluation",
 # package -> the only folders that may import it
 WALLS = {
     "pyopencl": ("clsplat/device/",),
-    "pycolmap": ("clsplat/io/", "clsplat/sfm/"), "rasterio": ("clsplat/apps/geotiff.py", "tools/"),
+    "pycolmap": ("clsplat/io/", "clsplat/sfm/", "tools/studies/priors.py"),
+    "rasterio": ("clsplat/apps/geotiff.py", "tools/"),
     **dict.fromkeys(("laspy", "lazrs", "zstandard"), ("clsplat/io/",)),
     "pyproj": ("clsplat/io/georeference/crs.py",),
     "OpenImageIO": ("clsplat/io/", "clsplat/evaluation/metrics.py"),

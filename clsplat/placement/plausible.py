@@ -92,6 +92,12 @@ def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
     raise NotGeoreferenced(f"{subject} {reason}" + (f": {question}" if question else f"; {cure}"))
 
 
+def are_priors(result: Alignment) -> bool:
+    """Whether the positions of an alignment are good enough, and enough of them, to adjust to."""
+    return bool(result.used.sum() > LEAST_POSITIONS and result.used.mean() >= 1 - MOST_LEFT_OUT
+                and result.horizontal <= MOST_RESIDUAL * result.size)
+
+
 def doubts(result: Alignment, positions: ArrayLike, vertical: Vertical,
            residuals: tuple[float, float], is_control: bool = False) -> list[str]:
     """Sentences on what a user must not rely on in an alignment.

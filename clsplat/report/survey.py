@@ -79,6 +79,8 @@ def facts(survey: Survey) -> Iterator[tuple[str, str]]:
     if overlap is not None:
         yield "overlap", (f"{overlap.mean:.1f} photos look at a place, in the mean; fewer than "
                           f"three look at {100 * overlap.thin:.0f} % of the area")
+    if priors := survey.record.get("position_priors"):
+        yield "positions as priors", priors["text"]
     for key, title, form in RECORDED:
         if survey.record.get(key) is not None:
             yield title, format(survey.record[key], form)

@@ -168,3 +168,10 @@ def test_a_survey_stands_between_pictures_and_scores(tmp_path):
     run.log({"event": "eval", "iteration": 9, "psnr": 21.0})
     html = write_report(run, pictures=pictures(), scene=flight()).read_text()
     assert headings(html)[:3] == ["Held-out views", "Survey", "Scores"]
+
+
+def test_what_positions_changed_is_a_fact(tmp_path):
+    said = "adjusted to the positions of 40 photos"
+    scene = stored(flight(), tmp_path, {**SFM, "position_priors": {"photos": 40, "text": said}})
+    assert dict(facts(survey_of(scene)))["positions as priors"] == said
+    assert said in survey_html(scene)

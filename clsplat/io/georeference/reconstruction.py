@@ -13,13 +13,17 @@ from clsplat.georeference import CHECK, CONTROL, LEFT_OUT, Georeference, Residua
 from clsplat.io.georeference.adjustment import Located, adjust, locate, residuals
 from clsplat.io.georeference.control_points import ControlPoints
 from clsplat.io.georeference.crs import UTM_EPSG, heights_of, horizontal, map_positions, outside
+from clsplat.io.georeference.priors import PriorEffect, adjust_to_positions, centres_of, rms
 from clsplat.io.photos.metadata import PhotoMetadata
-from clsplat.placement.alignment import LEAST_POSITIONS, Alignment
+from clsplat.placement import plausible
+from clsplat.placement.alignment import LEAST_POSITIONS, Alignment, Similarity
 from clsplat.placement.plausible import Guess, NotGeoreferenced, TooFewPositions, believed, doubts
 from clsplat.placement.up import UP, Vertical, gimbal_up
 
 LEAST_GIMBALS = 0.5  # share of the photos whose gimbals must be known
 UNKNOWN_STD = 3.0  # metres, of GPS that does not state it, among photos that do
+MOST_RTK = 0.5  # share of the photos with RTK from which on it decides where the scene lies
+RTK_STD = 0.1  # metres; positions that state less have errors of their own, others drift together
 FOOT = 0.3048
 SHOWN = 5  # names in a sentence
 FARTHEST = 1000.0  # metres from the photos' GPS to where control points place them
@@ -39,12 +43,14 @@ class Placed:
     up : float64[3], the unit vector that points up in them.
     notes : lines for the user: what was done, with residuals, or why it was not.
     warnings : sentences that a user must see, even if all else is quiet.
+    priors : what the photos' positions changed in an adjustment; None: there was none.
     """
 
     georeference: Georeference | None
     up: NDArray[np.float64]
     notes: tuple[str, ...]
     warnings: tuple[str, ...] = ()
+    priors: PriorEffect | None = None
 
 
 def place_reconstruction(reconstruction: pycolmap.Reconstruction,
@@ -61,8 +67,8 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     metadata : of the photos, by their names in the reconstruction; some may be missing.
     control : ground control points, and the coordinate reference system; "": the UTM zone.
     up : float[3], in the reconstruction, the direction that points up; None: by gimbals or cameras.
-    adjusts : whether cameras and points are then adjusted to the control points; otherwise the
-        reconstruction keeps its shape.
+    adjusts : whether cameras and points are then adjusted to the control points, or else to the
+        photos' positions; otherwise the reconstruction keeps its shape.
     keep_focal : whether that adjustment keeps focal lengths.
 
     Raises
@@ -81,37 +87,28 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
                       std=measured.std, is_control=is_control)
     if is_control:
         require_near_gps(result, images, metadata, measured.crs)
-    centres = np.array([image.projection_center() for image in images])
-    ground = np.median(result.similarity(points if len(points) else centres), axis=0)
+    ground = np.median(result.similarity(points if len(points) else centres_of(images)), axis=0)
     offset = np.round(ground)
-    reconstruction.transform(pycolmap.Sim3d(
-        result.similarity.scale, pycolmap.Rotation3d(result.similarity.rotation),
-        result.similarity.translation - offset))
+    _move(reconstruction, result.similarity, offset)
+    effect = None
     if is_control:
         used = (adjust(reconstruction, used, offset, keep_focal) if adjusts else
                 [item for item, right in zip(used, result.used & result.used_heights) if right])
         found = residuals(reconstruction, located, used, offset)
         source, errors, notes = _by_residuals(found, lost, adjusts)
     else:
-        away = np.round(result.similarity(measured.places) - measured.positions, 4)
-        found = tuple(
-            Residual(name, CONTROL if right else LEFT_OUT, east, north,
-                     up if np.isfinite(up) else None)
-            for name, right, (east, north, up) in zip(measured.names, result.used, away.tolist())
-            if np.isfinite(east))
-        wrong = [name for name, right in zip(measured.names, result.used) if not right]
-        source = f"GPS of {result.used.sum()} photos" + (
-            f", without {_listed(wrong)}, whose positions are wrong" if wrong else "")
-        errors = result.horizontal, result.vertical
-        height = f", {result.vertical:.2f} m in height" * bool(np.isfinite(result.vertical))
-        notes = [f"georeferenced by the {source}: residual {result.horizontal:.2f} m along the "
-                 f"ground{height}"]
+        effect = (_adjusted_to_gps(reconstruction, images, measured, result, known_up, offset,
+                                   keep_focal) if adjusts else None)
+        found, source, errors = _by_positions(images, measured, result, offset)
+        height = f", {errors[1]:.2f} m in height" * bool(np.isfinite(errors[1]))
+        notes = [f"georeferenced by the {source}: residual {errors[0]:.2f} m along the "
+                 f"ground{height}", *([str(effect)] if effect else [])]
     warnings = doubts(result, measured.positions, known_up, errors, is_control)
     east, north, height_of_origin = offset.tolist()
     return Placed(Georeference(
         measured.crs, (east, north, height_of_origin), source, errors[0],
         "gcp" if is_control else "gps", round(result.size, 3), measured.vertical, found,
-        tuple(warnings)), UP, (*control.notes, *notes, *measured.notes), tuple(warnings))
+        tuple(warnings)), UP, (*control.notes, *notes, *measured.notes), tuple(warnings), effect)
 
 
 def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, PhotoMetadata],
@@ -130,6 +127,16 @@ def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, Photo
     reconstruction.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
     notes = (f"not georeferenced: {why}",)
     return Placed(None, target, notes, () if isinstance(why, TooFewPositions) else notes)
+
+
+def _rotations(images: Sequence[Any]) -> NDArray[np.float64]:
+    return np.array([image.cam_from_world().rotation.matrix() for image in images])
+
+
+def _move(reconstruction: Any, similarity: Similarity, offset: NDArray[np.float64]) -> None:
+    reconstruction.transform(pycolmap.Sim3d(
+        similarity.scale, pycolmap.Rotation3d(similarity.rotation),
+        similarity.translation - offset))
 
 
 def _content(reconstruction: pycolmap.Reconstruction) -> tuple[list[Any], NDArray[np.float64]]:
@@ -212,6 +219,64 @@ def _by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: s
     return _Measured(names, centres, positions, guesses, own, vertical, std, tuple(notes))
 
 
+def _adjusted_to_gps(reconstruction: Any, images: Sequence[Any], measured: _Measured,
+                     result: Alignment, vertical: Vertical, offset: NDArray[np.float64],
+                     keep_focal: bool) -> PriorEffect | None:
+    """Adjust a reconstruction in its place to the positions that agree with it; None, and nothing
+    is done, if they are too few or too bad to be better anywhere than the photos.
+
+    RTK, whose stated accuracy is believed, decides where the scene lies, and makes focal lengths
+    and principal points measurable. GPS is taken to be as wrong as it was found, and decides the
+    shape alone.
+    """
+    if not plausible.are_priors(result) or measured.std is None:
+        return None
+    named, used = {image.name: image for image in images}, result.used
+    shown = [named[name] for name in measured.names]
+    seen = [image for image, right in zip(shown, used) if right]
+    is_rtk = measured.std[used].max(axis=1) <= RTK_STD
+    decides = is_rtk.mean() >= MOST_RTK
+    along = result.horizontal / np.sqrt(2)
+    std = np.where(is_rtk[:, None], measured.std[used],
+                   (along, along, np.nan_to_num(result.vertical)))
+    # heights by which a scene would be less level than by gimbals or photos are none
+    level = np.radians(vertical.degrees) * result.size
+    has_height = result.used_heights[used] & (std[:, 2] <= level)
+    positions, before = measured.positions[used] - offset, _rotations(images)
+    positions[~has_height, 2] = centres_of(seen)[~has_height, 2]
+    std[~has_height, 2] = level
+
+    def replaced() -> None:
+        """Once more by a similarity, in which gimbals and drifting heights have their weights."""
+        ups = np.einsum("vji,vjk,k->vi", _rotations(images), before,
+                        result.similarity.rotation @ vertical.up)
+        _move(reconstruction, believed(
+            centres_of(shown), measured.positions, std=measured.std,
+            vertical=Vertical.measured(ups.mean(axis=0), vertical.degrees)).similarity, offset)
+
+    return adjust_to_positions(reconstruction, seen, positions, std, has_height,
+                               keep_focal and not decides, decides, None if decides else replaced)
+
+
+def _by_positions(images: Sequence[Any], measured: _Measured, result: Alignment,
+                  offset: NDArray[np.float64]
+                  ) -> tuple[tuple[Residual, ...], str, tuple[float, float]]:
+    """The residuals of the positions of photos, the source of the georeference, and the RMS of
+    those that were used, along the ground and in height."""
+    named, used = {image.name: image for image in images}, result.used
+    away = centres_of([named[name] for name in measured.names]) + offset - measured.positions
+    found = tuple(
+        Residual(name, CONTROL if right else LEFT_OUT, east, north,
+                 up if np.isfinite(up) else None)
+        for name, right, (east, north, up) in zip(measured.names, used, np.round(away, 4).tolist())
+        if np.isfinite(east))
+    wrong = [name for name, right in zip(measured.names, used) if not right]
+    source = f"GPS of {used.sum()} photos" + (
+        f", without {_listed(wrong)}, whose positions are wrong" if wrong else "")
+    ground, height = rms(away[used], result.used_heights[used])
+    return found, source, (ground, np.nan if height is None else height)
+
+
 def _gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata]
          ) -> tuple[list[str], NDArray[np.float64], NDArray[np.float64]]:
     """Of the images whose photos have GPS: names, centres [N, 3], latitudes and longitudes [N, 2].
@@ -219,7 +284,7 @@ def _gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata]
     found = [(image, metadata[image.name]) for image in images
              if image.name in metadata and metadata[image.name].latitude is not None]
     return ([image.name for image, _ in found],
-            np.array([image.projection_center() for image, _ in found]).reshape(-1, 3),
+            centres_of([image for image, _ in found]),
             np.array([(known.latitude, known.longitude) for _, known in found],
                      np.float64).reshape(-1, 2))
 
