@@ -24,6 +24,7 @@ from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction, turned
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.photos.masks import MASKS
+from clsplat.io.photos.mrk import with_mrk
 from clsplat.io.photos.photo import common_levels
 from clsplat.io.records import object_of, plain, read_object, write_object
 from clsplat.io.regular import read_regular
@@ -33,6 +34,7 @@ from clsplat.io.scenes.sources import IMAGES
 from clsplat.placement.plausible import NotGeoreferenced
 from clsplat.sfm import features
 from clsplat.sfm import photos as inputs
+from clsplat.sfm.lenses import lens_doubts
 from clsplat.sfm.mapping import map_photos
 from clsplat.sfm.pairs import choose_pairs
 from clsplat.sfm.photos import SourceCamera, SourcePhoto, find_photos, is_video
@@ -225,9 +227,11 @@ def _photos(source: Path, options: SfmOptions, progress: Progress
         progress.message(f"{masked} of {len(photos)} photos have a mask: dark pixels are not used")
     levels, notes = common_levels([photo.path for photo in photos],
                                   [photo.metadata.is_deep for photo in photos])
-    for note in notes:
+    known, found = with_mrk((photo.path, photo.metadata) for photo in photos)
+    for note in (*notes, *found):
         progress.message(note)
-    return [replace(photo, levels=each) for photo, each in zip(photos, levels)], refused
+    return [replace(photo, levels=each, metadata=metadata)
+            for photo, each, metadata in zip(photos, levels, known)], refused
 
 
 class Unfinished:
@@ -324,7 +328,8 @@ def _facts(model: pycolmap.Reconstruction, cameras: Sequence[SourceCamera], plac
             for number, source in enumerate(cameras, 1) if number in model.cameras],
         "georeferenced": known is not None, "up": placed.up,
         "control_points": list(map(asdict, control)), "notes": placed.notes,
-        "warnings": placed.warnings})
+        "position_priors": placed.priors and {**asdict(placed.priors), "text": str(placed.priors)},
+        "warnings": [*placed.warnings, *lens_doubts(model, cameras)]})
     return record
 
 

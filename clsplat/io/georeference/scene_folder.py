@@ -16,6 +16,7 @@ from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction
 from clsplat.io.photos.metadata import read_metadata
+from clsplat.io.photos.mrk import with_mrk
 from clsplat.io.scenes.colmap import read_model, read_reconstruction, write_reconstruction
 from clsplat.io.scenes.sources import photo_folder
 from clsplat.placement.plausible import NotGeoreferenced
@@ -49,7 +50,8 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
     source = photos or photo_folder(folder)
     names = sorted(set(map(str, arrays["files"])))  # of photos: a wide lens has several views
     check_marks(control.points, names)
-    metadata = {name: read_metadata(source / name) for name in names if (source / name).is_file()}
+    paths = {name: source / name for name in names if (source / name).is_file()}
+    metadata = dict(zip(paths, with_mrk((path, read_metadata(path)) for path in paths.values())[0]))
     reconstruction = read_reconstruction(model)
     try:
         placed = place_reconstruction(reconstruction, metadata, control, up=up)

@@ -23,6 +23,7 @@ XMP_BYTES = 1 << 18  # from the beginning of a file, among which XMP is
 # standard deviations of a position, east, north and up: of DJI's RTK, and Pix4D's for other makers
 GPS_STD = ([f"{DJI}RtkStd{axis}" for axis in ("Lon", "Lat", "Hgt")],
            [f"Camera:GPS{axis}Accuracy" for axis in ("XY", "XY", "Z")])
+RTK_FLOAT = 34  # DJI's code, from which on RTK works
 QUARTERS = {3: 2, 6: 1, 8: 3}  # EXIF orientation -> clockwise quarter turns
 Calibration = tuple[float, ...]  # fx, fy, cx, cy, pixels, and k1, k2, p1, p2, as COLMAP's OPENCV
 
@@ -43,8 +44,9 @@ class PhotoMetadata:
     altitude : metres above sea level; often wrong by tens of metres, or above something else.
     above_ellipsoid : whether the altitude is above the ellipsoid, by the file.
     void : whether the receiver marked the position as void.
-    gps_std : standard deviations to the east, to the north and up, metres (RTK of DJI, or Pix4D's
-        tags, which other makers use).
+    gps_std : standard deviations to the east, to the north and up, metres (RTK of DJI, Pix4D's
+        tags, which other makers use, or EXIF's for both axes of the ground, and twice that for
+        height).
     gimbal_pitch, gimbal_roll : degrees (DJI); the pitch of a camera that looks straight down is
         -90.
     is_deep : whether it is grey, with samples of 16 bits.
@@ -165,12 +167,14 @@ def _altitude(photo: Photo) -> float | None:
 
 
 def _gps_std(photo: Photo) -> tuple[float, float, float] | None:
-    for names in GPS_STD:
+    is_rtk = (_number(photo, f"{DJI}RtkFlag", 100) or RTK_FLOAT) >= RTK_FLOAT
+    for names in GPS_STD[not is_rtk:]:
         values = [_number(photo, name, HIGHEST) or 0.0 for name in names]
         if min(values) > 0:
             east, north, up = values
             return east, north, up
-    return None
+    error = _number(photo, "GPS:HPositioningError", HIGHEST) or 0.0
+    return (error, error, 2 * error) if error > 0 else None
 
 
 def _reduction(photo: Photo) -> float:

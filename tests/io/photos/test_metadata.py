@@ -94,6 +94,14 @@ def test_accuracies_of_pix4d(tmp_path):
     assert data.gps_std == (2, 2, 3)
 
 
+def test_accuracy_of_exif_and_of_rtk_that_did_not_work(tmp_path):
+    error = {**GPS, "GPS:HPositioningError": 4.5}
+    assert read_metadata(photo(tmp_path / "a.jpg", error)).gps_std == (4.5, 4.5, 9)
+    for flag, std in (("16", (4.5, 4.5, 9)), ("50", (0.01, 0.02, 0.03))):
+        data = read_metadata(photo(tmp_path / "b.jpg", error, {**DJI, "RtkFlag": flag}))
+        assert data.gps_std == pytest.approx(std)
+
+
 def test_focal_length_follows_the_sensor_or_the_film(tmp_path):
     sensor = {"Exif:FocalLength": 5.0, "Exif:FocalPlaneXResolution": 254.0,
               "Exif:FocalPlaneResolutionUnit": 2}
