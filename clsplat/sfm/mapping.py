@@ -103,6 +103,9 @@ def _triangulated(model: Any, database: Path, folder: Path, fixed: bool, progres
     """A reconstruction with the points of all tracks, adjusted to them."""
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed, options.extract_colors, options.ba_global_max_refinements = SEED, False, 1
+    # whose tracks are merged and completed more willingly than in incremental mapping
+    options.triangulation = pycolmap.GlobalMapperOptions().retriangulation
+    options.triangulation.random_seed = SEED
     progress.phase("triangulation")
     # without photos below the third path, COLMAP leaves points without colours
     model = pycolmap.triangulate_points(model, database, _emptied(folder), folder, True, options)

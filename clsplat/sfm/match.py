@@ -11,7 +11,7 @@ from clsplat.device import Array, Device, Forms, Kernel, each, groups
 BLOCK, LENGTH, GEOMETRY = 16, 128, 11  # as in the kernels
 UNIT = 512.0  # length of a descriptor
 MOST_RATIO = 0.8  # of the angles to the nearest and the second nearest descriptor (Lowe 2004)
-MOST_RATIO_THERE = 0.6  # where few features are compared, so that a second one is rarely near
+MOST_RATIO_THERE = 0.65  # where few features are compared, so that a second one is rarely near
 MOST_ANGLE = 0.7  # radians, to the nearest one
 
 _PAIRS = dict(pair_count="uint", pairs=("int", "P", 2))

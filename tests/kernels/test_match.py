@@ -81,6 +81,6 @@ def test_where_the_geometry_allows(device, is_plane):
             photos[one], photos[other],
             np.column_stack([points[one], np.ones(len(points[one]))]) @ way.T,
             (points[other], is_plane, most)) for one, other, way in ((a, b, matrix), (b, a, back))]
-        assert np.array_equal(matches, reference.matches(*ways, 0.6)), (a, b)
+        assert np.array_equal(matches, reference.matches(*ways, 0.65)), (a, b)
     everywhere = sum(map(len, nearest(described, PAIRS, max(COUNTS))))
     assert everywhere > 1.2 * sum(map(len, found)) > 60
