@@ -27,6 +27,7 @@ FEWEST_MATCHES = 6  # of FEW, for which it is worth while to compare MANY
 LEAST_FREE_BYTES = 1 << 26  # on the disk: more than the matches of so many pairs take
 PAIRS_AT_ONCE = 64  # after which they are in the database, so that a killed command keeps them
 PHOTOS_KEPT = 4 * PAIRS_AT_ONCE  # whose features are in memory, a megabyte each
+PLANE_FACTOR = 10.0  # within so many errors of a place are enough others for the test of ratio
 FAILED = (pycolmap.TwoViewGeometryConfiguration.UNDEFINED,
           pycolmap.TwoViewGeometryConfiguration.DEGENERATE,
           pycolmap.TwoViewGeometryConfiguration.WATERMARK)
@@ -100,8 +101,10 @@ def _matched(device: Device, photos: Sequence[_Photo], pairs: NDArray[np.intp],
             place[:, :len(photo.directions)] = photo.directions.T
         allowed = np.array([_allowed(result[row], *map(photos.__getitem__, pairs[row]))
                             for row in rows]).swapaxes(0, 1)
-        for row, matches in zip(rows, follow(described, device.upload(places), pairs[rows],
-                                             allowed)):
+        found_there = follow(described, device.upload(places), pairs[rows], allowed)
+        for row, matches, way in zip(rows, found_there, allowed[0]):
+            first, second = (photos[number].directions for number in pairs[row])
+            matches = matches[_agree(first[matches[:, 0]], second[matches[:, 1]], way)]
             if len(matches) > len(result[row].inlier_matches):
                 result[row].inlier_matches = matches
     return result
@@ -135,4 +138,16 @@ def _allowed(geometry: Any, first: _Photo, second: _Photo) -> NDArray[np.float64
     else:
         matrix = np.linalg.inv(outer) @ geometry.H @ inner
     back = np.linalg.inv(matrix) if is_plane else matrix.T
-    return np.array([[*way.ravel(), is_plane, error] for way in (matrix, back)])
+    most = error * PLANE_FACTOR if is_plane else error
+    return np.array([[*way.ravel(), is_plane, most] for way in (matrix, back)])
+
+
+def _agree(first: NDArray[np.float64], second: NDArray[np.float64], way: NDArray[np.float64]
+           ) -> NDArray[np.bool_]:
+    """bool[N], whether directions [N, 2] that were found by a row of `_allowed` fit it: by a plane,
+    more were compared than fit."""
+    if not way[9]:
+        return np.ones(len(first), bool)
+    there = np.column_stack([first, np.ones(len(first))]) @ way[:9].reshape(3, 3).T
+    away = np.linalg.norm(there[:, :2] / there[:, 2:] - second, axis=1)
+    return np.asarray(away <= way[10] / PLANE_FACTOR)
