@@ -22,12 +22,14 @@ from clsplat.sfm.features import image_id, threads
 from clsplat.sfm.match import Described, follow, nearest
 from clsplat.sfm.progress import Progress
 
-FEW, MANY = 1024, 4096  # largest features that are compared all with all, and where FEW fail
-FEWEST_MATCHES = 6  # of FEW, for which it is worth while to compare MANY
+FEW, MANY = 1024, 4096  # largest features that are compared all with all, MANY where FEW fail
+FIRM = 50  # matches that agree, and give a geometry that is exact enough
+FEWEST_MATCHES = 3  # of FEW, for which it is worth while to compare MANY
 LEAST_FREE_BYTES = 1 << 26  # on the disk: more than the matches of so many pairs take
 PAIRS_AT_ONCE = 64  # after which they are in the database, so that a killed command keeps them
 PHOTOS_KEPT = 4 * PAIRS_AT_ONCE  # whose features are in memory, a megabyte each
 PLANE_FACTOR = 10.0  # within so many errors of a place are enough others for the test of ratio
+UNCALIBRATED = pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED
 FAILED = (pycolmap.TwoViewGeometryConfiguration.UNDEFINED,
           pycolmap.TwoViewGeometryConfiguration.DEGENERATE,
           pycolmap.TwoViewGeometryConfiguration.WATERMARK)
@@ -89,10 +91,11 @@ def _matched(device: Device, photos: Sequence[_Photo], pairs: NDArray[np.intp],
 
     found = estimate(FEW, np.arange(len(pairs)))
     again = [row for row, (matches, geometry) in enumerate(found)
-             if geometry.config in FAILED and matches >= FEWEST_MATCHES]
+             if matches >= FEWEST_MATCHES and len(geometry.inlier_matches) < FIRM]
     result = [geometry for _, geometry in found]
     for row, (_, geometry) in zip(again, estimate(MANY, np.array(again)) if again else []):
-        result[row] = geometry
+        if len(geometry.inlier_matches) > len(result[row].inlier_matches):
+            result[row] = geometry
     rows = [row for row, geometry in enumerate(result) if geometry.config not in FAILED]
     if rows:
         room = described.descriptors.shape[1]
@@ -130,13 +133,15 @@ def _allowed(geometry: Any, first: _Photo, second: _Photo) -> NDArray[np.float64
     back."""
     inner, outer = first.camera.calibration_matrix(), second.camera.calibration_matrix()
     error = 2 * _options().ransac.max_error / (inner[0, 0] + outer[0, 0])
-    is_plane = geometry.E is None and geometry.F is None
-    if geometry.E is not None:
+    # with guessed focal lengths, an essential matrix is wrong
+    known = first.camera.has_prior_focal_length and second.camera.has_prior_focal_length
+    is_plane = not known and geometry.config != UNCALIBRATED
+    if known:
         matrix = geometry.E
-    elif geometry.F is not None:
-        matrix = outer.T @ geometry.F @ inner
-    else:
+    elif is_plane:
         matrix = np.linalg.inv(outer) @ geometry.H @ inner
+    else:
+        matrix = outer.T @ geometry.F @ inner
     back = np.linalg.inv(matrix) if is_plane else matrix.T
     most = error * PLANE_FACTOR if is_plane else error
     return np.array([[*way.ravel(), is_plane, most] for way in (matrix, back)])
