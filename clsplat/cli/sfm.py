@@ -48,8 +48,8 @@ def sfm(photos: Path, output: Path, masks: Path | None, matching: str, camera_mo
     """Make a scene from PHOTOS: a folder, also with subfolders, or a video.
 
     Poses and points are found by structure from motion: features and matches on the device, the
-    rest by COLMAP's library on the CPU; GPS gives metres and the direction up. The scene is a COLMAP folder;
-    its sfm.json tells what was registered, what was not and why.
+    rest by COLMAP's library on the CPU; GPS gives metres and the direction up. The scene is a
+    COLMAP folder; its sfm.json tells what was registered, what was not and why.
     """
     from clsplat.sfm.reconstruct import SfmOptions
     options = SfmOptions(masks, matching, camera_model.upper(), frames, crs, gcp, check_points,

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
+from clsplat.device.kernel import Argument
 
 BLOCK, LENGTH, GEOMETRY = 16, 128, 11  # as in the kernels
 UNIT = 512.0  # length of a descriptor
@@ -14,8 +15,8 @@ MOST_RATIO = 0.8  # of the angles to the nearest and the second nearest descript
 MOST_RATIO_THERE = 0.65  # where few features are compared, so that a second one is rarely near
 MOST_ANGLE = 0.7  # radians, to the nearest one
 
-_PAIRS = dict(pair_count="uint", pairs=("int", "P", 2))
-_FOUND = dict(nearest=("int", "P", "K"), products=("real", "P", "K", 2))
+_PAIRS: dict[str, Argument] = dict(pair_count="uint", pairs=("int", "P", 2))
+_FOUND: dict[str, Argument] = dict(nearest=("int", "P", "K"), products=("real", "P", "K", 2))
 INTERLEAVE = Kernel(
     "match.cl", "interleave", each(f"photos blocks {BLOCK}"), photos="uint", features="uint",
     blocks="uint", counts=("int", "V"), descriptors=("uchar", "V", "M", LENGTH),

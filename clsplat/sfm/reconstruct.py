@@ -165,7 +165,8 @@ def _match(database: Path, photos: Sequence[SourcePhoto], cameras: Sequence[Sour
     try:
         if not database.exists():
             features.create_database(database, cameras)
-        damaged = features.extract_features(database, photos, device, options.max_features, progress)
+        damaged = features.extract_features(database, photos, device, options.max_features,
+                                            progress)
         pairs, why = choose_pairs(database, photos, method, device, progress)
         progress.message(f"matching {why}")
         match_pairs(database, pairs, device, progress)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
 
 LEVELS, SCALES, BASE_SIGMA = 6, 3, 1.6  # as in the kernels
-PHOTO_SIGMA = 0.5  # pixels, by which a photo is blurred, by Lowe
+PHOTO_SIGMA = 0.5  # pixels, by which a photo is blurred; as in COLMAP, also an enlarged one
 OCTAVES = 4  # as COLMAP
 SMALLEST = 8  # pixels, sides of an octave
 COLUMNS, PADDING, DIMENSIONS = 16, 16, 128  # as in the kernels
@@ -98,9 +98,8 @@ class Sift:
             return np.empty((0, 4), np.float32), np.empty((0, DIMENSIONS), np.uint8)
         last = octaves[-1]
         levels = self.device.empty(last.level(LEVELS))
-        keypoints, found = self._keypoints(levels, octaves, pixels)
-        order = np.lexsort((found, -_scales(keypoints)))[:self.most]
-        keypoints = keypoints[order]
+        everywhere, cells = self._keypoints(levels, octaves, pixels)
+        keypoints = everywhere[np.lexsort((cells, -_scales(everywhere)))[:self.most]]
         angles, descriptors = self._described(levels, octaves, keypoints)
         rows, slots = np.nonzero(angles > NO_ANGLE)
         rows, slots = rows[:self.most], slots[:self.most]
@@ -118,12 +117,11 @@ class Sift:
         differences = device.empty((LEVELS - 1) * size + 2 * PADDING)
         smoothed = device.empty(first.height * (first.stride + 2 * PADDING))
         uploaded = device.upload(pixels.reshape(-1))
-        blurred = PHOTO_SIGMA
         room = max(size // ROOM, 1)
         while True:
             found = device.empty(1, np.uint32)
             found.fill(0)
-            keypoints, cells = device.empty((room, 4)), device.empty(room, np.uint32)
+            found_at, cells = device.empty((room, 4)), device.empty(room, np.uint32)
             # the enlarged photo lies where level 1 comes later
             device.launch(GREY, source_width=source_width, source_height=source_height,
                           **_size(first), target=first.level(1), levels=levels, pixels=uploaded)
@@ -133,29 +131,29 @@ class Sift:
                     device.launch(HALVE, **_size(octave), source_stride=before.stride,
                                   source=before.level(SCALES), target=octave.begin, levels=levels)
                 else:
-                    self._smooth(octave, 1, 0, math.sqrt(BASE_SIGMA**2 - blurred**2), levels,
+                    self._smooth(octave, 1, 0, math.sqrt(BASE_SIGMA**2 - PHOTO_SIGMA**2), levels,
                                  smoothed, differences)
                 for level in range(1, LEVELS):
                     sigma = BASE_SIGMA * 2 ** ((level - 1) / SCALES) * math.sqrt(
                         2 ** (2 / SCALES) - 1)
                     self._smooth(octave, level - 1, level, sigma, levels, smoothed, differences)
                 device.launch(EXTREMA, **_size(octave), octave=number, first_cell=octave.begin,
-                              room=room, differences=differences, keypoints=keypoints, cells=cells,
+                              room=room, differences=differences, keypoints=found_at, cells=cells,
                               found=found)
             count = int(found.download()[0])
             if count <= room:
                 break
             room = count  # noise has more
-        _, rows = np.unique(cells.narrow(count).download(), return_index=True)
-        return keypoints.narrow(count).download()[rows], cells.narrow(count).download()[rows]
+        places, rows = np.unique(cells.narrow(count).download(), return_index=True)
+        return found_at.narrow(count).download()[rows], places
 
     def _smooth(self, octave: Octave, before: int, after: int, sigma: float, levels: Array,
                 smoothed: Array, differences: Array) -> None:
         """One level from another, and their difference in place of the lower one."""
         if sigma not in self._taps:
             away = np.arange(math.ceil(CUT * sigma) + 1)
-            taps = np.exp(-0.5 * (away / sigma)**2)
-            self._taps[sigma] = self.device.upload(taps / (2 * taps.sum() - 1))
+            weights = np.exp(-0.5 * (away / sigma)**2)
+            self._taps[sigma] = self.device.upload(weights / (2 * weights.sum() - 1))
         taps = self._taps[sigma]
         self.device.launch(SMOOTH_COLUMNS, **_size(octave), source=octave.level(before),
                            radius=len(taps) - 1, taps=taps, levels=levels, smoothed=smoothed)

@@ -7,7 +7,7 @@ of comparing all with all, and finds more, since a feature has fewer others that
 
 import functools
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
