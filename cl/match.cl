@@ -9,7 +9,8 @@
 //               takes them
 //
 // descriptors: uchar[V, M, 128]; points: real[V, 2, M], x of all, then y; M is a multiple of 16.
-// counts: int[V], of features. spread: real[V, B, 128, 16], zero beyond a photo's features, K = 16 B.
+// counts: int[V], of features. spread: real[V, B, 128, 16], zero beyond a photo's features, K = 16
+// B.
 // pairs: int[P, 2], photo and other photo. geometry: real[P, 11]: a matrix F (3x3, by rows) with
 // x2^T F x1 = 0, or that of the plane, x2 ~ F x1; 1 for a plane, else 0; the largest distance.
 // nearest: int[P, K or M], -1 for none; products: real[P, K or M, 2], best and second, 0 for none.
@@ -36,8 +37,8 @@ __kernel void interleave(uint photos, uint features, uint blocks,
     }
 }
 
-// Where the other photo may show a feature: near a line a x + b y + c = 0, of which (a, b) is a unit
-// vector, or near a place. As pairs are compared both ways, lines count in both photos.
+// Where the other photo may show a feature: near a line a x + b y + c = 0, of which (a, b) is a
+// unit vector, or near a place. As pairs are compared both ways, lines count in both photos.
 typedef struct {
     real a, b, c, most;
     bool is_plane;

@@ -9,13 +9,14 @@
 //   describe one or two orientations of a keypoint (5), then 4 x 4 histograms of 8 directions (6.1)
 //
 // A keypoint's surroundings are sampled on a grid of SAMPLES x SAMPLES, turned and spaced with it,
-// from the level of its scale: the grid of 6.1, and two samples more on each side, so that the outer
-// histograms are whole. Its spacing, 0.75 sigma, shows all that this blur has left. Gradients are
-// differences on that grid.
+// from the level of its scale: the grid of 6.1, and two samples more on each side, so that the
+// outer histograms are whole. Its spacing, 0.75 sigma, shows all that this blur has left. Gradients
+// are differences on that grid.
 //
 // levels: real[L], all octaves; octaves: int[O, 4], where one begins, its width, height and stride
 // (a multiple of 16; columns from the width on are of no use). differences: of one octave, real[5,
-// height, stride] with PADDING before and behind, since neighbours are read beyond the corners. keypoints: real[N, 4]: x, y, in pixels of its octave with the centre of
+// height, stride] with PADDING before and behind, since neighbours are read beyond the corners.
+// keypoints: real[N, 4]: x, y, in pixels of its octave with the centre of
 // the first at 0, level (a fraction), octave; cells: uint[N], where it was found, no two alike;
 // found: uint[1], how many there are, also where these are more than the arrays hold. Their order
 // is that in which work-items come (one integer atomic), so the host sorts by cells.
@@ -49,18 +50,6 @@
 #define NO_ANGLE -10
 #define TAU 6.283185307179586
 
-#if FORM_ITEM
-#define COLUMNS 16 // that are done at once
-#define LOAD(P) vload16(0, P)
-#define STORE(VALUE, P) vstore16(VALUE, 0, P)
-#define ANY(MASK) any(MASK)
-#else
-#define COLUMNS 1
-#define LOAD(P) (*(P))
-#define STORE(VALUE, P) (*(P) = (VALUE))
-#define ANY(MASK) (MASK)
-#endif
-
 __kernel void grey(uint source_width, uint source_height, uint width, uint height, uint stride,
                    uint target, __global const uchar *restrict pixels,
                    __global real *restrict levels)
@@ -91,9 +80,9 @@ __kernel void smooth_columns(uint width, uint height, uint stride, uint source, 
                              __global const real *restrict taps,
                              __global const real *restrict levels, __global real *restrict smoothed)
 {
-    FOR_EACH(i, height * (stride / COLUMNS))
+    FOR_EACH(i, height * (stride / VREAL_WIDTH))
     {
-        const int y = i / (stride / COLUMNS), x = i % (stride / COLUMNS) * COLUMNS;
+        const int y = i / (stride / VREAL_WIDTH), x = i % (stride / VREAL_WIDTH) * VREAL_WIDTH;
         __global const real *image = levels + source + x;
         vreal sum = taps[0] * LOAD(image + y * stride);
         for (int tap = 1; tap <= (int)radius; tap++) {
@@ -172,11 +161,11 @@ __kernel void extrema(uint width, uint height, uint stride, uint octave, uint fi
                       __global const real *restrict differences, __global real *restrict keypoints,
                       __global uint *restrict cells, __global uint *restrict found)
 {
-    const uint layer = height * stride, blocks = stride / COLUMNS;
+    const uint layer = height * stride, blocks = stride / VREAL_WIDTH;
     FOR_EACH(i, SCALES * (height - 2) * blocks)
     {
         const int level = 1 + i / ((height - 2) * blocks), y = 1 + i / blocks % (height - 2);
-        const int first = i % blocks * COLUMNS;
+        const int first = i % blocks * VREAL_WIDTH;
         __global const real *here = differences + PADDING + level * layer + y * stride + first;
         const vreal value = LOAD(here);
         if (!ANY(fabs(value) > (real)LEAST_SEEN))
@@ -196,16 +185,12 @@ __kernel void extrema(uint width, uint height, uint stride, uint octave, uint fi
                     TO_MASK(((value > most) | (value < least)) & (fabs(value) > (real)LEAST_SEEN));
         if (!ANY(extreme))
             continue;
-#if FORM_ITEM
-        int lanes[COLUMNS];
-        vstore16(convert_int16(extreme), 0, lanes);
-#endif
-        for (int lane = 0; lane < COLUMNS; lane++) {
+        int lanes[VREAL_WIDTH];
+        STORE_MASK(extreme, lanes);
+        for (int lane = 0; lane < VREAL_WIDTH; lane++) {
             const int x = first + lane;
-#if FORM_ITEM
             if (!lanes[lane])
                 continue;
-#endif
             if (x < 1 || x > (int)width - 2)
                 continue;
             real column, row, scale;

@@ -6,6 +6,11 @@ typedef mask16 vmask;
 #define TO_MASK convert_mask16
 #define AS_INTS as_int16
 #define AS_VREAL as_float16
+#define VREAL_WIDTH 16 // numbers of a vreal
+#define LOAD(P) vload16(0, P)
+#define STORE(VALUE, P) vstore16(VALUE, 0, P)
+#define ANY(MASK) any(MASK)
+#define STORE_MASK(MASK, P) vstore16(convert_int16(MASK), 0, P)
 #define IOTA (real16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
 #else
 typedef real vreal;
@@ -14,6 +19,11 @@ typedef long vmask;
 #else
 typedef int vmask;
 #endif
+#define VREAL_WIDTH 1
+#define LOAD(P) (*(P))
+#define STORE(VALUE, P) (*(P) = (VALUE))
+#define ANY(MASK) (MASK)
+#define STORE_MASK(MASK, P) (*(P) = (MASK))
 #define TO_MASK (vmask)
 #define AS_INTS as_int
 #define AS_VREAL as_float

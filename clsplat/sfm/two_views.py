@@ -23,7 +23,7 @@ from clsplat.sfm.match import Described, follow, nearest
 from clsplat.sfm.progress import Progress
 
 FEW, MANY = 1024, 4096  # largest features that are compared all with all, MANY where FEW fail
-FIRM = 50  # matches that agree, and give a geometry that is exact enough
+FIRM, FIRM_GUESSED = 20, 150  # matches that agree and give an exact geometry; guessed focal lengths
 FEWEST_MATCHES = 3  # of FEW, for which it is worth while to compare MANY
 LEAST_FREE_BYTES = 1 << 26  # on the disk: more than the matches of so many pairs take
 PAIRS_AT_ONCE = 64  # after which they are in the database, so that a killed command keeps them
@@ -90,8 +90,10 @@ def _matched(device: Device, photos: Sequence[_Photo], pairs: NDArray[np.intp],
             _geometry, *(map(photos.__getitem__, pairs[rows, side]) for side in (0, 1)), matches)))
 
     found = estimate(FEW, np.arange(len(pairs)))
+    firm = np.where([[photos[number].camera.has_prior_focal_length for number in pair]
+                     for pair in pairs], FIRM, FIRM_GUESSED).max(axis=1)
     again = [row for row, (matches, geometry) in enumerate(found)
-             if matches >= FEWEST_MATCHES and len(geometry.inlier_matches) < FIRM]
+             if matches >= FEWEST_MATCHES and len(geometry.inlier_matches) < firm[row]]
     result = [geometry for _, geometry in found]
     for row, (_, geometry) in zip(again, estimate(MANY, np.array(again)) if again else []):
         if len(geometry.inlier_matches) > len(result[row].inlier_matches):

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def nearest(first, second):
-    """Of uint8[N, 128] and [M, 128]: the row of the best product int[N], and the best two [N, 2]."""
+    """Of uint8[N, 128] and [M, 128]: the row of the best product [N], and the best two [N, 2]."""
     return best_two(first.astype(np.int64) @ second.T.astype(np.int64),
                     np.ones((len(first), len(second)), bool))
 

@@ -75,8 +75,9 @@ def refine(d, level, y, x):
         gradient = np.array([cube[1, 1, 2] - cube[1, 1, 0], cube[1, 2, 1] - cube[1, 0, 1],
                              cube[2, 1, 1] - cube[0, 1, 1]]) / 2
         middle = 2 * cube[1, 1, 1]
-        xx, yy, ss = (cube[1, 1, 2] + cube[1, 1, 0] - middle, cube[1, 2, 1] + cube[1, 0, 1] - middle,
-                      cube[2, 1, 1] + cube[0, 1, 1] - middle)
+        xx = cube[1, 1, 2] + cube[1, 1, 0] - middle
+        yy = cube[1, 2, 1] + cube[1, 0, 1] - middle
+        ss = cube[2, 1, 1] + cube[0, 1, 1] - middle
         xy = (cube[1, 2, 2] - cube[1, 2, 0] - cube[1, 0, 2] + cube[1, 0, 0]) / 4
         xs = (cube[2, 1, 2] - cube[2, 1, 0] - cube[0, 1, 2] + cube[0, 1, 0]) / 4
         ys = (cube[2, 2, 1] - cube[2, 0, 1] - cube[0, 2, 1] + cube[0, 0, 1]) / 4

@@ -1,4 +1,4 @@
-"""The reference of SIFT finds analytic blobs where and as large as they are, whatever their turn."""
+"""The reference of SIFT finds analytic blobs where they are and as large, whatever their turn."""
 
 import numpy as np
 import pytest

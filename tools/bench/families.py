@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy
 
 from clsplat.camera import Camera
 from clsplat.constants import CATCH_UP_EVERY, LAZY_TERMS, POSE_REALS
@@ -38,6 +39,10 @@ from clsplat.rendering.contribution import contribution as contributions
 from clsplat.rendering.cull import cull as cull_rows
 from clsplat.rendering.project import pack_camera
 from clsplat.response import Lenses
+from clsplat.sfm import match as matching
+from clsplat.sfm import two_views
+from clsplat.sfm.reconstruct import SfmOptions
+from clsplat.sfm.sift import Sift
 from clsplat.stereo import dense_points
 from clsplat.stereo import sweep as sweeping
 from clsplat.training.frequency import scene_frequency
@@ -45,6 +50,7 @@ from tools.bench.timing import in_turn, spread
 from tools.bench.workloads import DEFINES, CityFrame, ring_camera
 
 DEGREE = 3
+FEATURES = SfmOptions.max_features
 RATES = {field.name: field.rate for field in LEARNED}
 
 MULTIPLES = {"": 1, "k": 1_000, "M": 1_000_000}
@@ -286,7 +292,28 @@ def sweep(city: CityFrame) -> Cases:
                                                    dense_points.SAME_DEPTH)}
 
 
+def sift(city: CityFrame) -> Cases:
+    """The features of a made photo, at the size at which those of photos are searched."""
+    noise = np.random.default_rng(0).normal(size=(1200, 1600, 3))
+    blurred = scipy.ndimage.gaussian_filter(noise, (2, 2, 0))
+    pixels = np.clip(128 + 40 * blurred / blurred.std(), 0, 255).astype(np.uint8)
+    return {"1600x1200": partial(Sift(city.device, FEATURES).features, pixels, 1600, 1200)}
+
+
+def match(city: CityFrame) -> Cases:
+    """A pair of photos: the largest features all with all, and all along epipolar lines."""
+    rng = np.random.default_rng(0)
+    described = matching.Described.of(
+        city.device, list(rng.integers(0, 60, (2, FEATURES, matching.LENGTH), np.uint8)))
+    points = city.device.upload(rng.uniform(-0.7, 0.7, (2, 2, FEATURES)))
+    pairs, rows = np.array([[0, 1]]), [0, 0, 0, 0, 0, -1, 0, 1, 0, 0, 0.003]
+    geometry = np.array([[rows], [rows]], np.float64)
+    return {f"all of {two_views.FEW}": partial(matching.nearest, described, pairs, two_views.FEW),
+            f"{FEATURES} along lines": partial(matching.follow, described, points, pairs, geometry)}
+
+
 FAMILIES: dict[str, Callable[[CityFrame], Cases]] = {
     function.__name__: function for function in (
         adam, batch, bin, blend, compact, contribution, cull, depth_map, exposure, frequency,
-        gather, image_loss, noise, pose, project, reduce, regularise, reproject, sort, sweep)}
+        gather, image_loss, match, noise, pose, project, reduce, regularise, reproject, sift, sort,
+        sweep)}

@@ -92,8 +92,6 @@ def adjust_to_positions(reconstruction: Any, images: Sequence[Any], positions: N
     # the bowl of a long strip changes the sum little: short steps would end before it is out
     options.ceres.solver_options.initial_trust_region_radius = 1e8
     options.ceres.solver_options.function_tolerance = 1e-5
-    # several threads add in another order each time
-    options.ceres.min_num_residuals_for_cpu_multi_threading = 2**31 - 1
     for _ in range(ROUNDS):
         _adjust(reconstruction, images, positions, std / pixel_std, config, options)
         away = (centres_of(images) - positions) / std
