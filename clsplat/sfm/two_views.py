@@ -136,7 +136,8 @@ def _allowed(geometry: Any, first: _Photo, second: _Photo) -> NDArray[np.float64
     inner, outer = first.camera.calibration_matrix(), second.camera.calibration_matrix()
     error = 2 * _options().ransac.max_error / (inner[0, 0] + outer[0, 0])
     # with guessed focal lengths, an essential matrix is wrong
-    known = first.camera.has_prior_focal_length and second.camera.has_prior_focal_length
+    known = geometry.E is not None and all(
+        photo.camera.has_prior_focal_length for photo in (first, second))
     is_plane = not known and geometry.config != UNCALIBRATED
     if known:
         matrix = geometry.E
