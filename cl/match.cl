@@ -19,20 +19,17 @@
 #include "real.h"
 #include "each.h"
 
-#define LENGTH 128
-#define GEOMETRY 11
-
 __kernel void interleave(uint photos, uint features, uint blocks,
                          __global const int *restrict counts,
                          __global const uchar *restrict descriptors, __global real *restrict spread)
 {
-    FOR_EACH(i, photos * blocks * 16)
-    { // so many bytes at once fit into one line of a cache
+    FOR_EACH(i, photos * blocks * 16) { // so many bytes at once fit into one line of a cache
         const uint photo = i / (blocks * 16), feature = i % (blocks * 16);
         __global real *to =
-            spread + ((ulong)photo * blocks + feature / 16) * LENGTH * 16 + feature % 16;
-        __global const uchar *from = descriptors + ((ulong)photo * features + feature) * LENGTH;
-        for (int k = 0; k < LENGTH; k++)
+            spread + ((ulong)photo * blocks + feature / 16) * DESCRIPTOR_SIZE * 16 + feature % 16;
+        __global const uchar *from =
+            descriptors + ((ulong)photo * features + feature) * DESCRIPTOR_SIZE;
+        for (int k = 0; k < DESCRIPTOR_SIZE; k++)
             to[16 * k] = (int)feature < counts[photo] ? from[k] : 0;
     }
 }

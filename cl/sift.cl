@@ -2,8 +2,8 @@
 // its turn and size, as RootSIFT (Arandjelovic and Zisserman 2012).
 //
 //   grey     the photo as luminance, enlarged where it is small
-//   smooth   scale space: LEVELS images an octave, each a Gaussian of the one before, sigma
-//            BASE_SIGMA 2^(level / SCALES); rows and columns apart; halve begins the next octave
+//   smooth   scale space: SIFT_LEVELS images an octave, each a Gaussian of the one before, sigma
+//            SIFT_SIGMA 2^(level / SIFT_SCALES); rows and columns apart; halve begins the next one
 //   extrema  of the differences of levels in 3 x 3 x 3 pixels, refined by a parabola in x, y and
 //            scale (section 4), without weak ones and edges (4.1)
 //   describe one or two orientations of a keypoint (5), then 4 x 4 histograms of 8 directions (6.1)
@@ -15,47 +15,40 @@
 //
 // levels: real[L], all octaves; octaves: int[O, 4], where one begins, its width, height and stride
 // (a multiple of 16; columns from the width on are of no use). differences: of one octave, real[5,
-// height, stride] with PADDING before and behind, since neighbours are read beyond the corners.
-// keypoints: real[N, 4]: x, y, in pixels of its octave with the centre of
-// the first at 0, level (a fraction), octave; cells: uint[N], where it was found, no two alike;
-// found: uint[1], how many there are, also where these are more than the arrays hold. Their order
-// is that in which work-items come (one integer atomic), so the host sorts by cells.
+// height, stride] with SIFT_PADDING before and behind, as neighbours are read beyond the corners.
+// keypoints: real[N, 4]: x, y, in pixels of its octave with the centre of the first at 0, level (a
+// fraction), octave; cells: uint[N], where it was found, no two alike; found: uint[1], how many
+// there are, also where these are more than the arrays hold. Their order is that in which
+// work-items come (one integer atomic), so the host sorts by cells.
 // angles: real[N, 2], NO_ANGLE for none; descriptors: uchar[N, 2, 128].
 #include "real.h"
 #include "each.h"
 #include "vector.h"
 
-#define LEVELS 6                          // an octave
-#define SCALES 3                          // of them an octave apart
-#define BASE_SIGMA 1.6                    // pixels of the octave
-#define LEAST_CONTRAST (0.02 / SCALES)    // of differences, where white is 1
+#define LEAST_CONTRAST (0.02 / SIFT_SCALES) // of differences, where white is 1
 #define LEAST_SEEN (0.8 * LEAST_CONTRAST) // before the refinement
-#define LARGEST_RATIO 10                  // of the two curvatures; edges have more
-#define MOST_MOVES 5                      // of a refinement to a neighbour
-#define PADDING 16 // columns beside a row, as many as the widest Gaussian needs
+#define LARGEST_RATIO 10 // of the two curvatures; edges have more
+#define MOST_MOVES 5 // of a refinement to a neighbour
 
 #define SAMPLES 20
 #define PATCH (SAMPLES + 2) // with neighbours for differences
 #define MIDDLE ((SAMPLES - 1) / (real)2)
-#define ORIENTATION_SPACING 0.48                      // sigma, so that the grid ends at 4.5 sigma
+#define ORIENTATION_SPACING 0.48 // sigma, so that the grid ends at 4.5 sigma
 #define ORIENTATION_SIGMA (1.5 / ORIENTATION_SPACING) // samples
-#define DESCRIPTOR_SPACING 0.75                       // sigma; 4 samples are a cell of 3 sigma
-#define CELL 4                                        // samples
-#define DESCRIPTOR_SIGMA (2 * CELL)                   // samples
-#define TURNS 36                                      // bins of orientations
+#define DESCRIPTOR_SPACING 0.75 // sigma; 4 samples are a cell of 3 sigma
+#define CELL 4 // samples
+#define DESCRIPTOR_SIGMA (2 * CELL) // samples
+#define TURNS 36 // bins of orientations
 #define DIRECTIONS 8
-#define DIMENSIONS (4 * 4 * DIRECTIONS)
 #define NEARLY_HIGHEST 0.8 // of the highest peak of orientations
-#define MOST_OF_ONE 0.2    // of a descriptor of length 1
-#define NO_ANGLE -10
+#define MOST_OF_ONE 0.2 // of a descriptor of length 1
 #define TAU 6.283185307179586
 
 __kernel void grey(uint source_width, uint source_height, uint width, uint height, uint stride,
                    uint target, __global const uchar *restrict pixels,
                    __global real *restrict levels)
 {
-    FOR_EACH(i, height * stride)
-    {
+    FOR_EACH(i, height * stride) {
         const uint y = i / stride, x = min((uint)(i % stride), width - 1);
         const real u = ((x + (real)0.5) * source_width) / width - (real)0.5;
         const real v = ((y + (real)0.5) * source_height) / height - (real)0.5;
@@ -75,13 +68,13 @@ __kernel void grey(uint source_width, uint source_height, uint width, uint heigh
     }
 }
 
-// Columns of an image of `levels`, into rows of `smoothed`, PADDING apart. taps: real[radius + 1].
+// Columns of an image of `levels`, into rows of `smoothed` with SIFT_PADDING on both sides. taps:
+// real[radius + 1].
 __kernel void smooth_columns(uint width, uint height, uint stride, uint source, uint radius,
                              __global const real *restrict taps,
                              __global const real *restrict levels, __global real *restrict smoothed)
 {
-    FOR_EACH(i, height * (stride / VREAL_WIDTH))
-    {
+    FOR_EACH(i, height * (stride / VREAL_WIDTH)) {
         const int y = i / (stride / VREAL_WIDTH), x = i % (stride / VREAL_WIDTH) * VREAL_WIDTH;
         __global const real *image = levels + source + x;
         vreal sum = taps[0] * LOAD(image + y * stride);
@@ -90,7 +83,7 @@ __kernel void smooth_columns(uint width, uint height, uint stride, uint source, 
             sum = MAD((vreal)taps[tap], LOAD(image + above * stride) + LOAD(image + below * stride),
                       sum);
         }
-        STORE(sum, smoothed + y * (stride + 2 * PADDING) + PADDING + x);
+        STORE(sum, smoothed + y * (stride + 2 * SIFT_PADDING) + SIFT_PADDING + x);
     }
 }
 
@@ -98,8 +91,7 @@ __kernel void smooth_columns(uint width, uint height, uint stride, uint source, 
 __kernel void halve(uint width, uint height, uint stride, uint source_stride, uint source,
                     uint target, __global real *restrict levels)
 {
-    FOR_EACH(i, height * stride)
-    {
+    FOR_EACH(i, height * stride) {
         const uint y = i / stride, x = min((uint)(i % stride), width - 1);
         levels[target + i] = levels[source + 2 * (y * source_stride + x)];
     }
@@ -115,7 +107,7 @@ INLINE bool refine(__global const real *differences, uint width, uint height, ui
 {
     const uint layer = height * stride;
     for (int move = 0; move < MOST_MOVES; move++) {
-        __global const real *here = differences + PADDING + level * layer + y * stride + x;
+        __global const real *here = differences + SIFT_PADDING + level * layer + y * stride + x;
         const real middle = 2 * AT(0, 0, 0);
         const real gx = (AT(1, 0, 0) - AT(-1, 0, 0)) / 2, gy = (AT(0, 1, 0) - AT(0, -1, 0)) / 2;
         const real gs = (AT(0, 0, 1) - AT(0, 0, -1)) / 2;
@@ -151,7 +143,7 @@ INLINE bool refine(__global const real *differences, uint width, uint height, ui
                trace * trace < most * curvature &&
                fmax(fabs(dx), fmax(fabs(dy), fabs(ds))) < (real)1.5 && *found_x >= 0 &&
                *found_x <= width - 1 && *found_y >= 0 && *found_y <= height - 1 &&
-               *found_level >= 0 && *found_level <= LEVELS - 1;
+               *found_level >= 0 && *found_level <= SIFT_LEVELS - 1;
     }
     return false;
 }
@@ -162,11 +154,10 @@ __kernel void extrema(uint width, uint height, uint stride, uint octave, uint fi
                       __global uint *restrict cells, __global uint *restrict found)
 {
     const uint layer = height * stride, blocks = stride / VREAL_WIDTH;
-    FOR_EACH(i, SCALES * (height - 2) * blocks)
-    {
+    FOR_EACH(i, SIFT_SCALES * (height - 2) * blocks) {
         const int level = 1 + i / ((height - 2) * blocks), y = 1 + i / blocks % (height - 2);
         const int first = i % blocks * VREAL_WIDTH;
-        __global const real *here = differences + PADDING + level * layer + y * stride + first;
+        __global const real *here = differences + SIFT_PADDING + level * layer + y * stride + first;
         const vreal value = LOAD(here);
         if (!ANY(fabs(value) > (real)LEAST_SEEN))
             continue;
@@ -177,12 +168,22 @@ __kernel void extrema(uint width, uint height, uint stride, uint octave, uint fi
         most = fmax(most, other);                                                                  \
         least = fmin(least, other);                                                                \
     }
-#define COMPARE_ROW(DY, DL) COMPARE(-1, DY, DL) COMPARE(0, DY, DL) COMPARE(1, DY, DL)
+#define COMPARE_ROW(DY, DL)                                                                        \
+    COMPARE(-1, DY, DL)                                                                            \
+    COMPARE(0, DY, DL)                                                                             \
+    COMPARE(1, DY, DL)
         COMPARE_ROW(-1, -1)
-        COMPARE_ROW(0, -1) COMPARE_ROW(1, -1) COMPARE_ROW(-1, 0) COMPARE(-1, 0, 0) COMPARE(1, 0, 0)
-            COMPARE_ROW(1, 0) COMPARE_ROW(-1, 1) COMPARE_ROW(0, 1) COMPARE_ROW(1, 1)
-                const vmask extreme =
-                    TO_MASK(((value > most) | (value < least)) & (fabs(value) > (real)LEAST_SEEN));
+        COMPARE_ROW(0, -1)
+        COMPARE_ROW(1, -1)
+        COMPARE_ROW(-1, 0)
+        COMPARE(-1, 0, 0)
+        COMPARE(1, 0, 0)
+        COMPARE_ROW(1, 0)
+        COMPARE_ROW(-1, 1)
+        COMPARE_ROW(0, 1)
+        COMPARE_ROW(1, 1)
+        const vmask extreme =
+            TO_MASK(((value > most) | (value < least)) & (fabs(value) > (real)LEAST_SEEN));
         if (!ANY(extreme))
             continue;
         int lanes[VREAL_WIDTH];
@@ -232,10 +233,10 @@ INLINE Surroundings surroundings(uint keypoint, __global const real *keypoints,
 {
     const real4 at = vload4(keypoint, keypoints);
     const int4 octave = vload4((int)at.w, octaves);
-    const int level = clamp((int)(at.z + (real)0.5), 0, LEVELS - 1);
+    const int level = clamp((int)(at.z + (real)0.5), 0, SIFT_LEVELS - 1);
     const Surroundings result = {
         levels + octave.x + level * octave.z * octave.w, octave.y, octave.z, octave.w, at.x, at.y,
-        (real)BASE_SIGMA * exp2(at.z / SCALES)};
+        (real)SIFT_SIGMA * exp2(at.z / SIFT_SCALES)};
     return result;
 }
 

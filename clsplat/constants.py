@@ -28,6 +28,14 @@ SHAPE_SUMS: Final = 6  # of a pair in the blend adjoint, beside those of its cha
 FREQUENCY_TERMS: Final = 11  # columns of cl/frequency.cl
 FREQUENCY_SUMS: Final = FREQUENCY_TERMS + 1
 
+SIFT_LEVELS: Final = 6  # images of an octave (cl/sift.cl)
+SIFT_SCALES: Final = 3  # of them an octave apart
+SIFT_SIGMA: Final = 1.6  # pixels of its octave, by which the first is blurred (Lowe 2004)
+SIFT_PADDING: Final = 16  # columns beside a row, as many as the widest Gaussian needs
+DESCRIPTOR_SIZE: Final = 128  # numbers
+NO_ANGLE: Final = -10.0  # radians, of a keypoint without a second orientation
+TWO_VIEW_REALS: Final = 11  # of where another photo may show a feature (cl/match.cl)
+
 SH_C0: Final = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
 # blending (Kerbl et al. 2023); docs/evidence/numerics.md compares other values of the first two
 ALPHA_STEPS: Final = 255  # alphas below 1 / ALPHA_STEPS are skipped

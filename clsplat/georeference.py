@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 AXES = ("east", "north", "up")
 CONTROL, CHECK, LEFT_OUT = "control", "check", "left out"  # roles of measured places
+METRES_PER_DEGREE = 111_320.0  # of latitude, near enough to tell neighbours
 MOST_RESIDUAL = 0.03  # of the size of a survey; beyond it the residual is a warning
 
 

@@ -8,25 +8,25 @@ nearest(uint blocks, uint pair_count, __global const int *restrict pairs,
         __global const real *restrict spread, __global int *restrict nearest,
         __global real *restrict products)
 {
-    __local real tile[LENGTH * 16];
+    __local real tile[DESCRIPTOR_SIZE * 16];
     const uint groups = (16 * blocks + GROUP - 1) / GROUP, row = get_group_id(0) / groups;
     const uint query = get_group_id(0) % groups * GROUP + get_local_id(0);
     const int2 pair = vload2(row, pairs);
-    const ulong photo = (ulong)blocks * LENGTH * 16; // elements
-    const uint mine = min(query, 16 * blocks - 1);   // all items meet at the barriers
-    __global const real *own = spread + pair.x * photo + mine / 16 * LENGTH * 16 + mine % 16;
+    const ulong photo = (ulong)blocks * DESCRIPTOR_SIZE * 16; // elements
+    const uint mine = min(query, 16 * blocks - 1); // all items meet at the barriers
+    __global const real *own =
+        spread + pair.x * photo + mine / 16 * DESCRIPTOR_SIZE * 16 + mine % 16;
     __global const real *other = spread + pair.y * photo;
     real best = -1, next = -1;
     int found = -1;
-    for (uint block = 0; block < blocks; block++, other += LENGTH * 16) {
+    for (uint block = 0; block < blocks; block++, other += DESCRIPTOR_SIZE * 16) {
         barrier(CLK_LOCAL_MEM_FENCE);
-        FOR_GROUP(i, LENGTH * 16)
-        {
+        FOR_GROUP(i, DESCRIPTOR_SIZE * 16) {
             tile[i] = other[i];
         }
         barrier(CLK_LOCAL_MEM_FENCE);
         real16 sums = 0;
-        for (int k = 0; k < LENGTH; k++)
+        for (int k = 0; k < DESCRIPTOR_SIZE; k++)
             sums = MAD((real16)own[16 * k], vload16(k, tile), sums);
         real values[16];
         vstore16(sums, 0, values);
@@ -56,9 +56,9 @@ follow(uint features, uint pair_count, __global const int *restrict pairs,
     const uint mine = min(feature, features - 1), count = counts[pair.y];
     __global const real *own = points + (ulong)pair.x * 2 * features;
     __global const real *xs = points + (ulong)pair.y * 2 * features, *ys = xs + features;
-    __global const uchar *query = descriptors + ((ulong)pair.x * features + mine) * LENGTH;
+    __global const uchar *query = descriptors + ((ulong)pair.x * features + mine) * DESCRIPTOR_SIZE;
     const Allowed allowed =
-        allowed_places(geometry + GEOMETRY * row, own[mine], own[features + mine]);
+        allowed_places(geometry + TWO_VIEW_REALS * row, own[mine], own[features + mine]);
     const bool counts_itself = (int)feature < counts[pair.x];
     real best = 0, next = 0;
     int found = -1;
@@ -75,9 +75,9 @@ follow(uint features, uint pair_count, __global const int *restrict pairs,
             if (!(away_squared <= allowed.most * allowed.most && counts_itself))
                 continue;
             __global const uchar *other =
-                descriptors + ((ulong)pair.y * features + first + i) * LENGTH;
+                descriptors + ((ulong)pair.y * features + first + i) * DESCRIPTOR_SIZE;
             int4 sums = 0;
-            for (int k = 0; k < LENGTH / 4; k++)
+            for (int k = 0; k < DESCRIPTOR_SIZE / 4; k++)
                 sums += convert_int4(vload4(k, query)) * convert_int4(vload4(k, other));
             const real product = sums.x + sums.y + sums.z + sums.w;
             next = fmax(next, fmin(best, product));

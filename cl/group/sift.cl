@@ -9,15 +9,15 @@ __kernel void smooth_rows(uint width, uint height, uint stride, uint before, uin
                           __global real *restrict smoothed, __global real *restrict levels,
                           __global real *restrict differences)
 {
-    FOR_EACH(i, height * stride)
-    {
+    FOR_EACH(i, height * stride) {
         const int x = i % stride, last = width - 1;
-        __global const real *row = smoothed + i / stride * (stride + 2 * PADDING) + PADDING;
+        __global const real *row =
+            smoothed + i / stride * (stride + 2 * SIFT_PADDING) + SIFT_PADDING;
         real sum = taps[0] * row[min(x, last)];
         for (int tap = 1; tap <= (int)radius; tap++)
             sum = MAD(taps[tap], row[clamp(x - tap, 0, last)] + row[min(x + tap, last)], sum);
         levels[target + i] = sum;
-        differences[PADDING + difference + i] = sum - levels[before + i];
+        differences[SIFT_PADDING + difference + i] = sum - levels[before + i];
     }
 }
 
@@ -26,13 +26,11 @@ inline void gradients(Surroundings from, real spacing, real angle, real sigma, i
                       __local real *patch, __local real *lengths, __local real *directions)
 {
     const real cosine = cos(angle), sine = sin(angle);
-    FOR_GROUP(index, PATCH * PATCH)
-    {
+    FOR_GROUP(index, PATCH * PATCH) {
         patch[index] = patch_sample(from, index, spacing, cosine, sine);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    FOR_GROUP(index, SAMPLES * SAMPLES)
-    {
+    FOR_GROUP(index, SAMPLES * SAMPLES) {
         const int row = index / SAMPLES, column = index % SAMPLES;
         __local const real *at = patch + (row + 1) * PATCH + column + 1;
         const real dx = at[1] - at[-1], dy = at[PATCH] - at[-PATCH];
@@ -58,8 +56,7 @@ inline void describe_one(Surroundings from, real angle, __local real *patch, __l
     gradients(from, DESCRIPTOR_SPACING, angle, DESCRIPTOR_SIGMA, DIRECTIONS, patch, lengths,
               directions);
     real squares = 0;
-    FOR_GROUP(index, DIMENSIONS)
-    {
+    FOR_GROUP(index, DESCRIPTOR_SIZE) {
         const int cell_row = index / 32, cell_column = index / 8 % 4, bin = index % 8;
         real sum = 0;
         for (int row = CELL * cell_row; row < CELL * (cell_row + 2); row++)
@@ -76,13 +73,11 @@ inline void describe_one(Surroundings from, real angle, __local real *patch, __l
     // clipped and of length 1, then the root of each share
     const real limit = (real)MOST_OF_ONE * sqrt(group_sum(squares, scratch));
     real clipped = 0;
-    FOR_GROUP(index, DIMENSIONS)
-    {
+    FOR_GROUP(index, DESCRIPTOR_SIZE) {
         clipped += fmin(values[index], limit);
     }
     const real total = group_sum(clipped, scratch), scale = total > 0 ? 1 / total : 0;
-    FOR_GROUP(index, DIMENSIONS)
-    {
+    FOR_GROUP(index, DESCRIPTOR_SIZE) {
         descriptor[index] = convert_uchar_sat_rte(512 * sqrt(fmin(values[index], limit) * scale));
     }
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -94,13 +89,12 @@ describe(uint count, __global const real *restrict keypoints, __global const int
          __global uchar *restrict descriptors)
 {
     __local real patch[PATCH * PATCH], lengths[SAMPLES * SAMPLES], directions[SAMPLES * SAMPLES];
-    __local real values[DIMENSIONS], scratch[GROUP];
+    __local real values[DESCRIPTOR_SIZE], scratch[GROUP];
     __local real2 found;
     const uint keypoint = get_group_id(0);
     const Surroundings from = surroundings(keypoint, keypoints, octaves, levels);
     gradients(from, ORIENTATION_SPACING, 0, ORIENTATION_SIGMA, TURNS, patch, lengths, directions);
-    FOR_GROUP(bin, TURNS)
-    {
+    FOR_GROUP(bin, TURNS) {
         real sum = 0;
         for (int sample = 0; sample < SAMPLES * SAMPLES; sample++)
             sum += lengths[sample] * share_of(directions[sample], bin, TURNS);
@@ -118,8 +112,8 @@ describe(uint count, __global const real *restrict keypoints, __global const int
     const real2 both = found;
     if (both.x > NO_ANGLE)
         describe_one(from, both.x, patch, lengths, directions, values, scratch,
-                     descriptors + 2 * DIMENSIONS * keypoint);
+                     descriptors + 2 * DESCRIPTOR_SIZE * keypoint);
     if (both.y > NO_ANGLE)
         describe_one(from, both.y, patch, lengths, directions, values, scratch,
-                     descriptors + DIMENSIONS * (2 * keypoint + 1));
+                     descriptors + DESCRIPTOR_SIZE * (2 * keypoint + 1));
 }

@@ -20,8 +20,8 @@ typedef long vmask;
 typedef int vmask;
 #endif
 #define VREAL_WIDTH 1
-#define LOAD(P) (*(P))
-#define STORE(VALUE, P) (*(P) = (VALUE))
+#define LOAD(P) LOAD_ONE(0, P)
+#define STORE(VALUE, P) STORE_ONE(VALUE, 0, P)
 #define ANY(MASK) (MASK)
 #define STORE_MASK(MASK, P) (*(P) = (MASK))
 #define TO_MASK (vmask)

@@ -33,19 +33,18 @@ __kernel void nearest(uint blocks, uint pair_count, __global const int *restrict
                       __global const real *restrict spread, __global int *restrict nearest,
                       __global real *restrict products)
 {
-    const ulong photo = (ulong)blocks * LENGTH * 16; // elements
-    FOR_EACH(i, pair_count * blocks)
-    {
+    const ulong photo = (ulong)blocks * DESCRIPTOR_SIZE * 16; // elements
+    FOR_EACH(i, pair_count * blocks) {
         const int2 pair = vload2(i / blocks, pairs);
-        __global const real *own = spread + pair.x * photo + i % blocks * LENGTH * 16;
+        __global const real *own = spread + pair.x * photo + i % blocks * DESCRIPTOR_SIZE * 16;
         for (int query = 0; query < 16; query += 4, own += 4) {
             real16 a_first = -1, b_first = -1, c_first = -1, d_first = -1;
             real16 a_second = -1, b_second = -1, c_second = -1, d_second = -1;
             int16 a_block = 0, b_block = 0, c_block = 0, d_block = 0;
             __global const real *other = spread + pair.y * photo;
-            for (int block = 0; block < (int)blocks; block++, other += LENGTH * 16) {
+            for (int block = 0; block < (int)blocks; block++, other += DESCRIPTOR_SIZE * 16) {
                 real16 a = 0, b = 0, c = 0, d = 0;
-                for (int k = 0; k < LENGTH; k++) {
+                for (int k = 0; k < DESCRIPTOR_SIZE; k++) {
                     const real16 values = vload16(k, other);
                     a = MAD((real16)own[16 * k], values, a);
                     b = MAD((real16)own[16 * k + 1], values, b);
@@ -80,9 +79,9 @@ INLINE void compare(const real16 *query, __global const uchar *others, const int
                     int count, BestTwo *two)
 {
     for (int i = 0; i < count; i++) {
-        __global const uchar *other = others + (ulong)candidates[i] * LENGTH;
+        __global const uchar *other = others + (ulong)candidates[i] * DESCRIPTOR_SIZE;
         real16 sums = 0;
-        for (int k = 0; k < LENGTH / 16; k++)
+        for (int k = 0; k < DESCRIPTOR_SIZE / 16; k++)
             sums = MAD(query[k], convert_real16(vload16(k, other)), sums);
         const real product = sum16(sums);
         two->next = fmax(two->next, fmin(two->best, product));
@@ -97,8 +96,7 @@ __kernel void follow(uint features, uint pair_count, __global const int *restric
                      __global const uchar *restrict descriptors, __global int *restrict nearest,
                      __global real *restrict products)
 {
-    FOR_EACH(i, pair_count * features)
-    {
+    FOR_EACH(i, pair_count * features) {
         const uint row = i / features, feature = i % features;
         const int2 pair = vload2(row, pairs);
         const int count = counts[pair.y];
@@ -106,14 +104,14 @@ __kernel void follow(uint features, uint pair_count, __global const int *restric
         if ((int)feature < counts[pair.x]) {
             __global const real *own = points + (ulong)pair.x * 2 * features;
             __global const real *xs = points + (ulong)pair.y * 2 * features, *ys = xs + features;
-            __global const uchar *others = descriptors + (ulong)pair.y * features * LENGTH;
-            const Allowed allowed =
-                allowed_places(geometry + GEOMETRY * row, own[feature], own[features + feature]);
+            __global const uchar *others = descriptors + (ulong)pair.y * features * DESCRIPTOR_SIZE;
+            const Allowed allowed = allowed_places(geometry + TWO_VIEW_REALS * row, own[feature],
+                                                   own[features + feature]);
             const real most_squared = allowed.most * allowed.most;
-            real16 query[LENGTH / 16];
-            for (int k = 0; k < LENGTH / 16; k++)
-                query[k] = convert_real16(
-                    vload16(k, descriptors + ((ulong)pair.x * features + feature) * LENGTH));
+            real16 query[DESCRIPTOR_SIZE / 16];
+            for (int k = 0; k < DESCRIPTOR_SIZE / 16; k++)
+                query[k] = convert_real16(vload16(
+                    k, descriptors + ((ulong)pair.x * features + feature) * DESCRIPTOR_SIZE));
             int candidates[LISTED + 16],
                 listed = 0; // without branches, which would be guessed wrong
             for (int first = 0; first < count; first += 16) {

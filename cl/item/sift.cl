@@ -6,12 +6,11 @@ __kernel void smooth_rows(uint width, uint height, uint stride, uint before, uin
                           __global real *restrict smoothed, __global real *restrict levels,
                           __global real *restrict differences)
 {
-    FOR_EACH(y, height)
-    {
-        __global real *row = smoothed + y * (stride + 2 * PADDING) + PADDING;
-        for (int x = 0; x < PADDING; x++)
-            row[x - PADDING] = row[0];
-        for (int x = width; x < (int)stride + PADDING; x++)
+    FOR_EACH(y, height) {
+        __global real *row = smoothed + y * (stride + 2 * SIFT_PADDING) + SIFT_PADDING;
+        for (int x = 0; x < SIFT_PADDING; x++)
+            row[x - SIFT_PADDING] = row[0];
+        for (int x = width; x < (int)stride + SIFT_PADDING; x++)
             row[x] = row[width - 1];
         for (uint x = 0; x < stride; x += 16) {
             real16 sum = taps[0] * vload16(0, row + x);
@@ -21,7 +20,7 @@ __kernel void smooth_rows(uint width, uint height, uint stride, uint before, uin
             const uint at = y * stride + x;
             vstore16(sum, 0, levels + target + at);
             vstore16(sum - vload16(0, levels + before + at), 0,
-                     differences + PADDING + difference + at);
+                     differences + SIFT_PADDING + difference + at);
         }
     }
 }
@@ -98,16 +97,16 @@ INLINE void describe_one(Surroundings from, real angle, __global uchar *descript
         }
     }
     // clipped and of length 1, then the root of each share
-    real clipped = 0, squares = 0, values[DIMENSIONS];
-    for (int index = 0; index < DIMENSIONS; index++) {
+    real clipped = 0, squares = 0, values[DESCRIPTOR_SIZE];
+    for (int index = 0; index < DESCRIPTOR_SIZE; index++) {
         values[index] = cells[((index / 32 + 1) * 6 + index / 8 % 4 + 1) * DIRECTIONS + index % 8];
         squares += values[index] * values[index];
     }
     const real limit = (real)MOST_OF_ONE * sqrt(squares);
-    for (int index = 0; index < DIMENSIONS; index++)
+    for (int index = 0; index < DESCRIPTOR_SIZE; index++)
         clipped += fmin(values[index], limit);
     const real scale = clipped > 0 ? 1 / clipped : 0;
-    for (int index = 0; index < DIMENSIONS; index++)
+    for (int index = 0; index < DESCRIPTOR_SIZE; index++)
         descriptor[index] = convert_uchar_sat_rte(512 * sqrt(fmin(values[index], limit) * scale));
 }
 
@@ -115,14 +114,13 @@ __kernel void describe(uint count, __global const real *restrict keypoints,
                        __global const int *restrict octaves, __global const real *restrict levels,
                        __global real *restrict angles, __global uchar *restrict descriptors)
 {
-    FOR_EACH(keypoint, count)
-    {
+    FOR_EACH(keypoint, count) {
         const Surroundings from = surroundings(keypoint, keypoints, octaves, levels);
         const real2 found = orientations(from);
         vstore2(found, keypoint, angles);
         if (found.x > NO_ANGLE)
-            describe_one(from, found.x, descriptors + 2 * DIMENSIONS * keypoint);
+            describe_one(from, found.x, descriptors + 2 * DESCRIPTOR_SIZE * keypoint);
         if (found.y > NO_ANGLE)
-            describe_one(from, found.y, descriptors + DIMENSIONS * (2 * keypoint + 1));
+            describe_one(from, found.y, descriptors + DESCRIPTOR_SIZE * (2 * keypoint + 1));
     }
 }

@@ -122,11 +122,13 @@ def _decoded(photo: SourcePhoto) -> tuple[NDArray[np.uint8], NDArray[np.bool_] |
     are none."""
     data, size = photo.metadata, _working_size(photo)
     try:
-        return read_image(photo.path, size if size[0] < data.width else None, levels=photo.levels
-                          ), None if photo.mask is None else read_mask(
-                              photo.mask, photo.mask, (data.width, data.height))
+        pixels = read_image(photo.path, size if size[0] < data.width else None,
+                            levels=photo.levels)
+        mask = None if photo.mask is None else read_mask(photo.mask, photo.mask,
+                                                         (data.width, data.height))
     except InputError as error:
         return str(error)
+    return pixels, mask
 
 
 def _features(sift: Sift, photo: SourcePhoto, pixels: NDArray[np.uint8],

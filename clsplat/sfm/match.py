@@ -6,10 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.constants import DESCRIPTOR_SIZE, TWO_VIEW_REALS
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
 from clsplat.device.kernel import Argument
 
-BLOCK, LENGTH, GEOMETRY = 16, 128, 11  # as in the kernels
+BLOCK = 16  # features that lie beside each other on the device
 UNIT = 512.0  # length of a descriptor
 MOST_RATIO = 0.8  # of the angles to the nearest and the second nearest descriptor (Lowe 2004)
 MOST_RATIO_THERE = 0.65  # where few features are compared, so that a second one is rarely near
@@ -19,17 +20,17 @@ _PAIRS: dict[str, Argument] = dict(pair_count="uint", pairs=("int", "P", 2))
 _FOUND: dict[str, Argument] = dict(nearest=("int", "P", "K"), products=("real", "P", "K", 2))
 INTERLEAVE = Kernel(
     "match.cl", "interleave", each(f"photos blocks {BLOCK}"), photos="uint", features="uint",
-    blocks="uint", counts=("int", "V"), descriptors=("uchar", "V", "M", LENGTH),
-    spread=("real", "V", "B", LENGTH, BLOCK))
+    blocks="uint", counts=("int", "V"), descriptors=("uchar", "V", "M", DESCRIPTOR_SIZE),
+    spread=("real", "V", "B", DESCRIPTOR_SIZE, BLOCK))
 NEAREST = Kernel(
     "match.cl", "nearest", Forms(item=each("pair_count blocks"),
                                  group=groups("pair_count K/SCAN_GROUP", "SCAN_GROUP")),
-    blocks="uint", **_PAIRS, spread=("real", "V", "B", LENGTH, BLOCK), **_FOUND)
+    blocks="uint", **_PAIRS, spread=("real", "V", "B", DESCRIPTOR_SIZE, BLOCK), **_FOUND)
 FOLLOW = Kernel(
     "match.cl", "follow", Forms(item=each("pair_count features"),
                                 group=groups("pair_count features/SCAN_GROUP", "SCAN_GROUP")),
-    features="uint", **_PAIRS, counts=("int", "V"), geometry=("real", "P", GEOMETRY),
-    points=("real", "V", 2, "K"), descriptors=("uchar", "V", "K", LENGTH), **_FOUND)
+    features="uint", **_PAIRS, counts=("int", "V"), geometry=("real", "P", TWO_VIEW_REALS),
+    points=("real", "V", 2, "K"), descriptors=("uchar", "V", "K", DESCRIPTOR_SIZE), **_FOUND)
 
 
 class Described(NamedTuple):
@@ -48,7 +49,7 @@ class Described(NamedTuple):
     def of(cls, device: Device, descriptors: Sequence[NDArray[np.uint8]]) -> "Described":
         """The features of photos, uint8[N, 128] each."""
         counts = np.array([len(each) for each in descriptors], np.int32)
-        filled = np.zeros((len(counts), rounded(counts.max(initial=1)), LENGTH), np.uint8)
+        filled = np.zeros((len(counts), rounded(counts.max(initial=1)), DESCRIPTOR_SIZE), np.uint8)
         for row, values in zip(filled, descriptors):
             row[:len(values)] = values
         return cls(device.upload(counts), device.upload(filled))
@@ -75,7 +76,7 @@ def nearest(described: Described, pairs: NDArray[np.integer], most: int
     device = described.counts.device
     photos, features, _ = described.descriptors.shape
     blocks = min(rounded(most), features) // BLOCK
-    spread = device.empty((photos, blocks, LENGTH, BLOCK))
+    spread = device.empty((photos, blocks, DESCRIPTOR_SIZE, BLOCK))
     device.launch(INTERLEAVE, photos=photos, features=features, blocks=blocks,
                   **described._asdict(), spread=spread)
     both_ways, found = _both_ways(device, pairs, blocks * BLOCK)
@@ -96,7 +97,7 @@ def follow(described: Described, points: Array, pairs: NDArray[np.integer],
     _, features, _ = described.descriptors.shape
     both_ways, found = _both_ways(device, pairs, features)
     device.launch(FOLLOW, features=features, **both_ways, **described._asdict(), points=points,
-                  geometry=device.upload(geometry.reshape(-1, GEOMETRY)), **found)
+                  geometry=device.upload(geometry.reshape(-1, TWO_VIEW_REALS)), **found)
     return _matches(found, MOST_RATIO_THERE)
 
 

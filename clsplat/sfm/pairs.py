@@ -14,7 +14,9 @@ import pycolmap
 import scipy
 from numpy.typing import NDArray
 
+from clsplat.constants import DESCRIPTOR_SIZE
 from clsplat.device import Device
+from clsplat.georeference import METRES_PER_DEGREE
 from clsplat.sfm.features import image_id
 from clsplat.sfm.match import Described, nearest
 from clsplat.sfm.photos import SourcePhoto
@@ -29,7 +31,6 @@ SEQUENCE = 10  # the same in a sequence of photos or frames
 SIMILAR = 16  # most similar photos with which a photo is matched
 LARGEST_FEATURES = 256  # of a photo, by which similarity is judged
 COMPARED_AT_ONCE = 2048  # pairs
-METRES_PER_DEGREE = 111_320.0
 
 
 def choose_pairs(database: Path, photos: Sequence[SourcePhoto], method: str, device: Device,
@@ -92,7 +93,7 @@ def _similar(path: Path, count: int, device: Device, progress: Progress
         described = Described.of(device, [
             database.read_descriptors(image_id(index)).data[:LARGEST_FEATURES]
             if database.exists_descriptors(image_id(index))  # else the photo is damaged
-            else np.empty((0, 128), np.uint8) for index in range(count)])
+            else np.empty((0, DESCRIPTOR_SIZE), np.uint8) for index in range(count)])
     rows = np.column_stack(np.triu_indices(count, 1))
     shared = np.zeros((count, count), np.int32)
     for begin in range(0, len(rows), COMPARED_AT_ONCE):

@@ -6,15 +6,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.constants import (
+    DESCRIPTOR_SIZE,
+    NO_ANGLE,
+    SIFT_LEVELS,
+    SIFT_PADDING,
+    SIFT_SCALES,
+    SIFT_SIGMA,
+)
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
 
-LEVELS, SCALES, BASE_SIGMA = 6, 3, 1.6  # as in the kernels
 PHOTO_SIGMA = 0.5  # pixels, by which a photo is blurred; as in COLMAP, also an enlarged one
 OCTAVES = 4  # as COLMAP
 SMALLEST = 8  # pixels, sides of an octave
-COLUMNS, PADDING, DIMENSIONS = 16, 16, 128  # as in the kernels
+COLUMNS = 16  # a row of an image is a multiple of so many
 CUT = 4.0  # sigma, where a Gaussian ends
-NO_ANGLE = -10.0
 ROOM = 16  # pixels a keypoint, for which there is room at first
 
 _SIZE = dict(width="uint", height="uint", stride="uint")
@@ -31,14 +37,14 @@ SMOOTH_ROWS = Kernel(
 HALVE = Kernel("sift.cl", "halve", each("height stride"), **_SIZE, source_stride="uint",
                source="uint", target="uint", levels=("real", "L"))
 EXTREMA = Kernel(
-    "sift.cl", "extrema", Forms(item=each(f"{SCALES} height stride/{COLUMNS}"),
-                                group=each(f"{SCALES} height stride")),
+    "sift.cl", "extrema", Forms(item=each(f"{SIFT_SCALES} height stride/{COLUMNS}"),
+                                group=each(f"{SIFT_SCALES} height stride")),
     **_SIZE, octave="uint", first_cell="uint", room="uint", differences=("real", "D"),
     keypoints=("real", "N", 4), cells=("uint", "N"), found=("uint", 1))
 DESCRIBE = Kernel(
     "sift.cl", "describe", Forms(item=each("count"), group=groups("count", "SCAN_GROUP")),
     count="uint", keypoints=("real", "N", 4), octaves=("int", "O", 4), levels=("real", "L"),
-    angles=("real", "N", 2), descriptors=("uchar", "N", 2, DIMENSIONS))
+    angles=("real", "N", 2), descriptors=("uchar", "N", 2, DESCRIPTOR_SIZE))
 
 
 class Octave(NamedTuple):
@@ -61,7 +67,7 @@ def octaves_of(width: int, height: int) -> list[Octave]:
     while len(result) < OCTAVES and min(width, height) >= SMALLEST:
         stride = -(-width // COLUMNS) * COLUMNS
         result.append(Octave(begin, width, height, stride))
-        begin += LEVELS * height * stride
+        begin += SIFT_LEVELS * height * stride
         width, height = (width + 1) // 2, (height + 1) // 2
     return result
 
@@ -95,9 +101,9 @@ class Sift:
         """
         octaves = octaves_of(width, height)
         if not octaves:
-            return np.empty((0, 4), np.float32), np.empty((0, DIMENSIONS), np.uint8)
+            return np.empty((0, 4), np.float32), np.empty((0, DESCRIPTOR_SIZE), np.uint8)
         last = octaves[-1]
-        levels = self.device.empty(last.level(LEVELS))
+        levels = self.device.empty(last.level(SIFT_LEVELS))
         everywhere, cells = self._keypoints(levels, octaves, pixels)
         keypoints = everywhere[np.lexsort((cells, -_scales(everywhere)))[:self.most]]
         angles, descriptors = self._described(levels, octaves, keypoints)
@@ -114,8 +120,8 @@ class Sift:
         device, first = self.device, octaves[0]
         source_height, source_width, _ = pixels.shape
         size = first.height * first.stride
-        differences = device.empty((LEVELS - 1) * size + 2 * PADDING)
-        smoothed = device.empty(first.height * (first.stride + 2 * PADDING))
+        differences = device.empty((SIFT_LEVELS - 1) * size + 2 * SIFT_PADDING)
+        smoothed = device.empty(first.height * (first.stride + 2 * SIFT_PADDING))
         uploaded = device.upload(pixels.reshape(-1))
         room = max(size // ROOM, 1)
         while True:
@@ -129,13 +135,14 @@ class Sift:
                 if number:
                     before = octaves[number - 1]
                     device.launch(HALVE, **_size(octave), source_stride=before.stride,
-                                  source=before.level(SCALES), target=octave.begin, levels=levels)
+                                  source=before.level(SIFT_SCALES), target=octave.begin,
+                                  levels=levels)
                 else:
-                    self._smooth(octave, 1, 0, math.sqrt(BASE_SIGMA**2 - PHOTO_SIGMA**2), levels,
+                    self._smooth(octave, 1, 0, math.sqrt(SIFT_SIGMA**2 - PHOTO_SIGMA**2), levels,
                                  smoothed, differences)
-                for level in range(1, LEVELS):
-                    sigma = BASE_SIGMA * 2 ** ((level - 1) / SCALES) * math.sqrt(
-                        2 ** (2 / SCALES) - 1)
+                for level in range(1, SIFT_LEVELS):
+                    sigma = SIFT_SIGMA * 2 ** ((level - 1) / SIFT_SCALES) * math.sqrt(
+                        2 ** (2 / SIFT_SCALES) - 1)
                     self._smooth(octave, level - 1, level, sigma, levels, smoothed, differences)
                 device.launch(EXTREMA, **_size(octave), octave=number, first_cell=octave.begin,
                               room=room, differences=differences, keypoints=found_at, cells=cells,
@@ -167,7 +174,7 @@ class Sift:
         """As the kernels' angles [N, 2] and descriptors uint8[N, 2, 128]."""
         device, count = self.device, len(keypoints)
         angles = device.empty((count, 2))
-        descriptors = device.empty((count, 2, DIMENSIONS), np.uint8)
+        descriptors = device.empty((count, 2, DESCRIPTOR_SIZE), np.uint8)
         device.launch(DESCRIBE, count=count, keypoints=device.upload(keypoints), levels=levels,
                       octaves=device.upload(np.array(octaves, np.int32)), angles=angles,
                       descriptors=descriptors)
@@ -180,4 +187,4 @@ def _size(octave: Octave) -> dict[str, int]:
 
 def _scales(keypoints: NDArray[np.floating]) -> NDArray[np.floating]:
     """Sigma of keypoints [N, 4], in pixels of the first octave."""
-    return BASE_SIGMA * 2.0 ** (keypoints[:, 2] / SCALES + keypoints[:, 3])
+    return SIFT_SIGMA * 2.0 ** (keypoints[:, 2] / SIFT_SCALES + keypoints[:, 3])

@@ -1,8 +1,7 @@
 """Matches of pairs of photos, and the geometry of their two views.
 
 The largest features of two photos are compared first, all with all. What matches gives the geometry
-of the two views, and then all features are compared that lie where it allows. That takes a tenth
-of comparing all with all, and finds more, since a feature has fewer others that look like it.
+of the two views, and then all features are compared that lie where it allows, which are few of all.
 """
 
 import functools

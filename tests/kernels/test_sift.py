@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from clsplat.constants import NO_ANGLE, SIFT_LEVELS
 from clsplat.sfm import sift as module
 from clsplat.sfm.sift import Sift, octaves_of
 from tests.reference import sift as reference
@@ -25,7 +26,7 @@ def expected(size, seed):
 def found_keypoints(device, pixels, width, height):
     """keypoints [N, 4] and cells [N, 4] (octave, level, y, x), sorted by these."""
     octaves = octaves_of(width, height)
-    levels = device.empty(octaves[-1].level(module.LEVELS))
+    levels = device.empty(octaves[-1].level(SIFT_LEVELS))
     rows, cells = Sift(device, ALL)._keypoints(levels, octaves, pixels)
     places = []
     for row, cell in zip(rows, cells.tolist()):
@@ -53,13 +54,13 @@ def test_keypoints_are_those_of_the_reference(device, size):
 def test_descriptors_are_those_of_the_reference(device):
     keypoints, _, octaves = expected(DESCRIBED, 1)
     own, sift = octaves_of(*DESCRIBED[2:]), Sift(device, ALL)
-    levels = device.empty(own[-1].level(module.LEVELS))
+    levels = device.empty(own[-1].level(SIFT_LEVELS))
     sift._keypoints(levels, own, texture(*DESCRIBED[1::-1], 1))
     angles, descriptors = sift._described(levels, own, keypoints)
     seconds, wrong, compared = 0, 0, 0
     for row, found, values in zip(keypoints, angles, descriptors):
         wanted = reference.orientations(octaves, row)
-        if (found > module.NO_ANGLE).sum() != len(wanted):
+        if (found > NO_ANGLE).sum() != len(wanted):
             wrong += 1  # a second peak just as high as it must be
             continue
         seconds += len(wanted) == 2

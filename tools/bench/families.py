@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from clsplat.camera import Camera
-from clsplat.constants import CATCH_UP_EVERY, LAZY_TERMS, POSE_REALS
+from clsplat.constants import CATCH_UP_EVERY, DESCRIPTOR_SIZE, LAZY_TERMS, POSE_REALS
 from clsplat.device import Device
 from clsplat.gaussians import LEARNED
 from clsplat.loss.depth_map import compare_depth
@@ -304,7 +304,7 @@ def match(city: CityFrame) -> Cases:
     """A pair of photos: the largest features all with all, and all along epipolar lines."""
     rng = np.random.default_rng(0)
     described = matching.Described.of(
-        city.device, list(rng.integers(0, 60, (2, FEATURES, matching.LENGTH), np.uint8)))
+        city.device, list(rng.integers(0, 60, (2, FEATURES, DESCRIPTOR_SIZE), np.uint8)))
     points = city.device.upload(rng.uniform(-0.7, 0.7, (2, 2, FEATURES)))
     pairs, rows = np.array([[0, 1]]), [0, 0, 0, 0, 0, -1, 0, 1, 0, 0, 0.003]
     geometry = np.array([[rows], [rows]], np.float64)

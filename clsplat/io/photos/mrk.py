@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from clsplat.georeference import METRES_PER_DEGREE
 from clsplat.io.photos.metadata import RTK_FLOAT, PhotoMetadata
 from clsplat.io.regular import read_regular
 
@@ -22,7 +23,6 @@ LINE = re.compile(
     rf"\s*(\d{{1,9}})\s.*\s{NUMBER}\s*,\s*Lat\s+{NUMBER}\s*,\s*Lon\s+{NUMBER}\s*,\s*Ellh\s+"
     rf"{NUMBER}\s*,\s*{NUMBER}\s*,\s*{NUMBER}\s+(\d+)\s*,\s*Q")
 NAME = re.compile(r"_(\d{4,5})(?:_[A-Z]+)?$")  # DJI_20230101120000_0001_V, 100_0034_0001, DJI_0001
-METRES_PER_DEGREE = 111_320.0
 NEAR = 30.0  # metres from EXIF's position; a position farther away is that of another flight
 
 
