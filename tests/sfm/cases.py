@@ -39,9 +39,9 @@ def picture(height=48, width=64, seed=0):
 
 
 def texture(height, width, seed=0):
-    """uint8[height, width, 3], full of features."""
+    """uint8[height, width, 3], full of features, and of streaks that are too long for one."""
     values = np.random.default_rng(seed).normal(size=(height, width, 3))
-    values = ndimage.gaussian_filter(values, (1.3, 1.3, 0))
+    values = ndimage.gaussian_filter(values, (1.3, 2.2, 0))
     return np.clip(128 + 60 * values / values.std(), 0, 255).astype(np.uint8)
 
 

@@ -18,6 +18,7 @@ def test_a_known_scene_is_found_again(tmp_path):
     model = map_photos(tmp_path / "d.db", cameras_of([source()]), 6, progress)
     assert progress.phases == ["global mapping", "triangulation", "bundle adjustment"]
     assert model.num_reg_images() == 6 and model.compute_mean_reprojection_error() < 0.1
+    assert model.num_points3D() > 50
     true, found = (np.array([image.projection_center() for _, image in sorted(
         dict(scene.images).items())]) for scene in (truth, model))
     distances = [np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(6, 1)]
