@@ -100,3 +100,19 @@ def test_what_is_matched_is_not_matched_again_and_a_full_disk_is_named(
         database.clear_two_view_geometries()
     with pytest.raises(InputError, match="the disk is nearly full"):
         match_pairs(path, PAIRS, item_device, Lines())
+
+
+def test_an_essential_matrix_of_guessed_focal_lengths_is_not_used(tmp_path):
+    """pycolmap gives one, too, where the fundamental matrix is the one to use."""
+    database_of(tmp_path / "d.db", focal=None)
+    with pycolmap.Database.open(tmp_path / "d.db") as database:
+        photos = [two_views._read(database, index) for index in range(2)]
+    geometry = pycolmap.TwoViewGeometry()
+    geometry.config = pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED
+    geometry.E, geometry.F = np.diag([1.0, 2, 3]), np.diag([4.0, 5, 6])
+    inner = photos[0].camera.calibration_matrix()
+    (there, back), by_f = two_views._allowed(geometry, *photos), inner.T @ geometry.F @ inner
+    assert np.allclose(there[:9], by_f.ravel()) and np.allclose(back[:9], by_f.T.ravel())
+    for photo in photos:
+        photo.camera.has_prior_focal_length = True
+    assert np.allclose(two_views._allowed(geometry, *photos)[0, :9], geometry.E.ravel())
