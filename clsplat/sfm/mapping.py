@@ -7,9 +7,11 @@ Incremental mapping follows where that does not register all photos that match o
 badly, and the better of both is kept.
 """
 
+import copy
 import itertools
 import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,16 +19,19 @@ from typing import Any
 import pycolmap
 
 from clsplat.errors import InputError
+from clsplat.io.scenes.colmap import write_reconstruction
 from clsplat.sfm.features import camera_of, partners
 from clsplat.sfm.photos import SourceCamera, are_calibrated
 from clsplat.sfm.progress import Progress
 
 LARGEST_ASPECT = 0.02  # by which the two focal lengths of a camera may differ
 LARGEST_ERROR = 1.5  # pixels, the mean reprojection error above which a result fits badly
+FEW_PHOTOS, ATTEMPTS = 60, 3  # at most; from random positions, chains of photos may come apart
 TRACKS_A_PHOTO = 300  # in global mapping; with all it takes three times as long
 LARGEST_RESIDUAL, LEAST_ANGLE = 4.0, 1.5  # pixels, degrees; of points that stay, as in COLMAP
 LEAST_PHOTOS = 3  # that show a point; two may agree by accident
-MOST_STEPS, LEAST_GAIN = 20, 1e-5  # of the last adjustment
+LARGEST_LOSS = 0.01  # of the error, by which cameras without distortion may fit worse
+MOST_STEPS, LEAST_GAIN = 20, 1e-5  # of an adjustment of all
 SEED = 0
 
 
@@ -36,20 +41,20 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
 
     Parameters
     ----------
-    database : with the matches of the photos; its folder keeps intermediate results.
+    database : with the matches of the photos; its folder keeps intermediate results, from which a
+        killed command goes on.
     cameras : of the photos; see `are_calibrated`.
     photos : how many there are.
     """
     fixed, matched = are_calibrated(cameras), len(partners(database))
-    work = database.parent
-    progress.phase("global mapping")
-    models = _global(database, work / "global", fixed)
-    if not fixed and not all(map(_square, models)):
-        _use_square_pixels(database, cameras)
-        models = _global(database, work / "global", fixed)
-    if models:
-        largest = max(models, key=lambda model: model.num_reg_images())
-        models = [_triangulated(largest, database, work / "triangulation", fixed, progress)]
+    work, models = database.parent, []
+    placed = _kept(work / "global", lambda: _placed(database, cameras, fixed, progress))
+    if placed is not None:
+        progress.phase("triangulation")
+        models.append(_kept(work / "triangulated", lambda: _triangulated(
+            placed, database, work / "triangulation")))
+        progress.phase("bundle adjustment")
+        _adjust(models[0], fixed)
     # photos that match no other one cannot be placed in any way
     if matched and not any(model.num_reg_images() == matched
                            and model.compute_mean_reprojection_error() <= LARGEST_ERROR
@@ -68,6 +73,63 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
     return max(models, key=lambda model: (model.num_reg_images(), model.compute_num_observations()))
 
 
+def keep_model(folder: Path, model: Any) -> None:
+    """Write a pycolmap.Reconstruction into a folder, which appears whole or not at all."""
+    partial = _emptied(folder.with_suffix(".part"))
+    write_reconstruction(partial, model)
+    partial.rename(folder)
+
+
+def _kept(folder: Path, make: Callable[[], Any]) -> Any:
+    """The reconstruction of a folder that a killed command has left, or else a new one, which may
+    be None."""
+    if folder.is_dir():
+        return pycolmap.Reconstruction(folder)
+    model = make()
+    if model is not None:
+        keep_model(folder, model)
+    return model
+
+
+def _placed(database: Path, cameras: Sequence[SourceCamera], fixed: bool, progress: Progress
+            ) -> Any:
+    """The best reconstruction of global mapping, or None."""
+    attempts = ATTEMPTS if sum(len(source.photos) for source in cameras) <= FEW_PHOTOS else 1
+    models = _global(database, fixed, attempts, progress)
+    if not fixed and not all(map(_square, models)):
+        _use_square_pixels(database, cameras)
+        models = _global(database, fixed, attempts, progress)
+    if not models:
+        return None
+    best = max(models, key=lambda model: (model.num_reg_images(),
+                                          -model.compute_mean_reprojection_error()))
+    keeps = fixed or any(source.is_chosen for source in cameras)
+    return best if keeps else _without_distortion(best, database, progress)
+
+
+def _without_distortion(model: Any, database: Path, progress: Progress) -> Any:
+    """A reconstruction, whose cameras become pinhole cameras, there and in the database, if these
+    fit hardly worse: photos that a program has undistorted are then not interpolated again, and
+    poses are nearer to the truth."""
+    progress.phase("global mapping, without lens distortion")
+    straight = copy.deepcopy(model)
+    for camera in straight.cameras.values():
+        has_two = len(camera.focal_length_idxs()) == 2
+        kept = [*camera.focal_length_idxs(), *camera.principal_point_idxs()]
+        values = camera.params[kept]
+        camera.model = (pycolmap.CameraModelId.PINHOLE if has_two
+                        else pycolmap.CameraModelId.SIMPLE_PINHOLE)
+        camera.params = values
+    _adjust(straight, False)
+    errors = [each.compute_mean_reprojection_error() for each in (model, straight)]
+    if errors[1] > (1 + LARGEST_LOSS) * errors[0]:
+        return model
+    with pycolmap.Database.open(database) as opened:
+        for camera in straight.cameras.values():
+            opened.update_camera(camera)
+    return straight
+
+
 def _square(model: Any) -> bool:
     """Whether the focal lengths of each camera are nearly equal, as those of all lenses are; else
     the photos do not determine so many parameters."""
@@ -83,44 +145,70 @@ def _use_square_pixels(path: Path, cameras: Sequence[SourceCamera]) -> None:
                 database.update_camera(camera_of(number, replace(source, model="RADIAL")))
 
 
-def _global(database: Path, folder: Path, fixed: bool) -> list[Any]:
+def _global(database: Path, fixed: bool, attempts: int, progress: Progress) -> list[Any]:
+    """The reconstructions of so many attempts."""
     options = pycolmap.GlobalPipelineOptions()
-    options.random_seed = options.mapper.random_seed = SEED
     options.mapper.track_required_tracks_per_view = TRACKS_A_PHOTO
     options.mapper.skip_retriangulation = True  # see `_triangulated`
     options.mapper.ba_num_iterations, options.mapper.ba_skip_fixed_rotation_stage = 2, True
+    progress.phase("global mapping")
     if fixed:
         options.mapper.bundle_adjustment.refine_focal_length = False
-    else:
-        calibration = pycolmap.ViewGraphCalibrationOptions()
-        calibration.random_seed = SEED
-        _models(pycolmap.calibrate_view_graph, database, calibration)
-    # without photos below the second path, COLMAP leaves points without colours
-    return _models(pycolmap.global_mapping, database, _emptied(folder), folder, options)
+    models, adjustments = [], itertools.count(1)
+
+    def show() -> None:
+        progress.phase(f"global mapping, adjustment {next(adjustments)}")
+
+    for attempt in range(attempts):
+        seed = options.random_seed = options.mapper.random_seed = SEED + attempt
+        tried = database
+        if attempts > 1:  # the relative poses of an attempt, which it writes there, are its own
+            tried = Path(shutil.copyfile(database, database.with_name("attempt.db")))
+        if not fixed:
+            calibration = pycolmap.ViewGraphCalibrationOptions()
+            calibration.random_seed = seed
+            _models(pycolmap.calibrate_view_graph, tried, calibration)
+        found = pycolmap.ReconstructionManager()
+        with pycolmap.Database.open(tried) as opened:
+            pipeline = pycolmap.GlobalPipeline(options, opened, found)
+            pipeline.add_callback(pycolmap.GlobalPipelineCallback.MODEL_UPDATE_CALLBACK.value, show)
+            with suppress(RuntimeError, ValueError):  # as where hardly anything matches
+                pipeline.run()
+        models += [found.get(number) for number in range(found.size())]
+    return models
 
 
-def _triangulated(model: Any, database: Path, folder: Path, fixed: bool, progress: Progress) -> Any:
-    """A reconstruction with the points of all tracks, adjusted to them."""
+def _triangulated(model: Any, database: Path, folder: Path) -> Any:
+    """A reconstruction with the points of all tracks."""
     options = pycolmap.IncrementalPipelineOptions()
-    options.random_seed, options.extract_colors, options.ba_global_max_refinements = SEED, False, 1
+    options.random_seed, options.extract_colors = SEED, False
+    options.ba_global_max_refinements = 1
     # whose tracks are merged and completed more willingly than in incremental mapping
     options.triangulation = pycolmap.GlobalMapperOptions().retriangulation
     options.triangulation.random_seed = SEED
-    progress.phase("triangulation")
     # without photos below the third path, COLMAP leaves points without colours
-    model = pycolmap.triangulate_points(model, database, _emptied(folder), folder, True, options)
-    adjustment = pycolmap.BundleAdjustmentOptions()
-    adjustment.print_summary, adjustment.refine_focal_length = False, not fixed
-    adjustment.ceres.loss_function_type = pycolmap.LossFunctionType.HUBER
-    solver = adjustment.ceres.solver_options
+    return pycolmap.triangulate_points(model, database, _emptied(folder), folder, True, options)
+
+
+def _adjust(model: Any, fixed: bool) -> None:
+    """Adjust cameras, poses and points of a reconstruction to its observations, and remove what
+    fits badly."""
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary, options.refine_focal_length = False, not fixed
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.HUBER
+    solver = options.ceres.solver_options
     solver.max_num_iterations, solver.function_tolerance = MOST_STEPS, LEAST_GAIN
-    progress.phase("bundle adjustment")
-    pycolmap.bundle_adjustment(model, adjustment)
+    # pycolmap.bundle_adjustment does the same, but prints lines that cannot be turned off
+    config = pycolmap.BundleAdjustmentConfig()
+    for image in model.images.values():
+        if image.has_pose:
+            config.add_image(image.image_id)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
     observations = pycolmap.ObservationManager(model)
     observations.filter_all_points3D(LARGEST_RESIDUAL, LEAST_ANGLE)
     observations.filter_points3D_with_short_tracks(LEAST_PHOTOS)
     model.update_point_3d_errors()
-    return model
 
 
 def _incremental(database: Path, folder: Path, fixed: bool, registered: Callable[[], None]

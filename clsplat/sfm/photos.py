@@ -48,6 +48,7 @@ class SourceCamera:
     focal_known : whether the estimate comes from metadata.
     calibration : by the maker, or None.
     photos : indices of its photos.
+    is_chosen : whether the user has chosen the model, which is then kept.
     """
 
     model: str
@@ -57,6 +58,7 @@ class SourceCamera:
     focal_known: bool
     calibration: Calibration | None
     photos: tuple[int, ...]
+    is_chosen: bool = False
 
 
 def has_photos(folder: Path) -> bool:
@@ -178,7 +180,7 @@ def are_calibrated(cameras: Iterable[SourceCamera]) -> bool:
 
 
 def _camera(photos: list[SourcePhoto], rows: list[int], model: str) -> SourceCamera:
-    data = photos[rows[0]].metadata
+    data, is_chosen = photos[rows[0]].metadata, bool(model)
     calibration = data.calibration if model in ("", "OPENCV") else None
     focals = sorted(value for row in rows if (value := photos[row].metadata.focal_pixels))
     focal = focals[len(focals) // 2] if focals else DEFAULT_FOCAL * max(data.width, data.height)
@@ -187,4 +189,5 @@ def _camera(photos: list[SourcePhoto], rows: list[int], model: str) -> SourceCam
     elif not model:
         model = "OPENCV" if len(rows) >= LEAST_FOR_OPENCV else "SIMPLE_RADIAL"
     return SourceCamera(model, data.width, data.height, focal,
-                        bool(focals) or calibration is not None, calibration, tuple(rows))
+                        bool(focals) or calibration is not None, calibration, tuple(rows),
+                        is_chosen)

@@ -35,7 +35,7 @@ from clsplat.placement.plausible import NotGeoreferenced
 from clsplat.sfm import features
 from clsplat.sfm import photos as inputs
 from clsplat.sfm.lenses import lens_doubts
-from clsplat.sfm.mapping import map_photos
+from clsplat.sfm.mapping import keep_model, map_photos
 from clsplat.sfm.pairs import choose_pairs
 from clsplat.sfm.photos import SourceCamera, SourcePhoto, find_photos, is_video
 from clsplat.sfm.progress import Progress
@@ -279,11 +279,7 @@ class Unfinished:
         """Keep a reconstruction, whose images get the names of their photos."""
         for image in model.images.values():
             image.name = photos[image.image_id - features.image_id(0)].name
-        partial = self._model.with_suffix(".part")
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir()
-        write_reconstruction(partial, model)
-        partial.rename(self._model)
+        keep_model(self._model, model)
 
     def model(self) -> pycolmap.Reconstruction:
         """The reconstruction that is kept."""

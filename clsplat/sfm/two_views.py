@@ -28,6 +28,7 @@ LEAST_FREE_BYTES = 1 << 26  # on the disk: more than the matches of so many pair
 PAIRS_AT_ONCE = 64  # after which they are in the database, so that a killed command keeps them
 PHOTOS_KEPT = 4 * PAIRS_AT_ONCE  # whose features are in memory, a megabyte each
 PLANE_FACTOR = 10.0  # within so many errors of a place are enough others for the test of ratio
+LEAST_RELIEF = 15  # matches away from a plane, by which the geometry of the two views is found
 UNCALIBRATED = pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED
 FAILED = (pycolmap.TwoViewGeometryConfiguration.UNDEFINED,
           pycolmap.TwoViewGeometryConfiguration.DEGENERATE,
@@ -126,7 +127,22 @@ def _geometry(first: _Photo, second: _Photo, matches: NDArray[np.uint32]) -> Any
         first.camera, first.pixels, second.camera, second.pixels, matches, _options())
     if geometry.config in FAILED:
         geometry.inlier_matches = np.empty((0, 2), np.uint32)
+    elif geometry.E is None and geometry.F is None:
+        _with_relief(geometry, first.pixels, second.pixels, matches)
     return geometry
+
+
+def _with_relief(geometry: Any, first: NDArray[np.float64], second: NDArray[np.float64],
+                 matches: NDArray[np.uint32]) -> None:
+    """Let matches count that a plane does not explain, as those of roofs in photos of flat land:
+    they alone show how far the cameras moved, and COLMAP drops them if they are fewer than a fifth.
+    """
+    found = pycolmap.estimate_fundamental_matrix(first[matches[:, 0]], second[matches[:, 1]],
+                                                 _options().ransac)
+    if found is not None:
+        inliers = matches[found["inlier_mask"]]
+        if len(inliers) >= len(geometry.inlier_matches) + LEAST_RELIEF:
+            geometry.config, geometry.F, geometry.inlier_matches = UNCALIBRATED, found["F"], inliers
 
 
 def _allowed(geometry: Any, first: _Photo, second: _Photo) -> NDArray[np.float64]:

@@ -74,15 +74,14 @@ def source(name="a.jpg", width=64, height=48, **known):
     return SourcePhoto(name, name, PhotoMetadata(width, height, **known))
 
 
-def synthetic(database=None, photos=6, points=60):
-    """A pycolmap.Reconstruction of photos with ids 1 ... of one camera with distortion, and its
-    database."""
+def synthetic(database=None, photos=6, points=60, distortion=0.05):
+    """A pycolmap.Reconstruction of photos with ids 1 ... of one camera, and its database."""
     pycolmap.set_random_seed(0)
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs = options.num_cameras_per_rig = 1
     options.num_frames_per_rig, options.num_points3D = photos, points
     options.camera_width, options.camera_height = 320, 240
-    options.camera_params = [400.0, 160.0, 120.0, 0.05]
+    options.camera_params = [400.0, 160.0, 120.0, distortion]
     if database is None:
         return pycolmap.synthesize_dataset(options)
     opened = pycolmap.Database.open(database)

@@ -51,17 +51,19 @@ def found(path, first, second):
         return database.read_two_view_geometry(*ids).inlier_matches, database.read_matches(*ids)
 
 
-@pytest.mark.parametrize("is_flat, focal", [(False, FOCAL), (False, None), (True, None)])
+@pytest.mark.parametrize("is_flat, focal, few", [
+    (False, FOCAL, FEW), (False, None, FEW), (True, None, FEW), (True, None, COUNT)])
 def test_all_features_are_matched_by_the_geometry_of_the_largest(
-        tmp_path, item_device, monkeypatch, is_flat, focal):
-    monkeypatch.setattr(two_views, "FEW", FEW)
-    monkeypatch.setattr(two_views, "MANY", FEW)
+        tmp_path, item_device, monkeypatch, is_flat, focal, few):
+    """Also those away from a plane, if enough of the largest show how the cameras moved."""
+    monkeypatch.setattr(two_views, "FEW", few)
+    monkeypatch.setattr(two_views, "MANY", few)
     path, progress = tmp_path / "d.db", Lines()
     partner = database_of(path, is_flat, focal)
     match_pairs(path, PAIRS, item_device, progress)
     matches, written = found(path, 0, 1)
     assert np.array_equal(matches, written)
-    count = FLAT if is_flat else COUNT
+    count = FLAT if is_flat and few == FEW else COUNT
     assert len(matches) > 0.97 * count and (matches[:, 0] < count).all()
     assert (partner[matches[:, 0]] == matches[:, 1]).mean() > 0.99
     assert not len(found(path, 0, 2)[0]) and not len(found(path, 1, 2)[1])
