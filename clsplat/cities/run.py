@@ -195,37 +195,42 @@ def gaussians_that_fit(device: Device, options: RenderingOptions) -> int:
     return max(1, int(MODEL_SHARE * device.handle.global_mem_size / each))
 
 
-def scale_table(prepared: PreparedScene, forecast: Forecast, device: Device, photos: Iterable[int],
-                workers: int = 1) -> Table:
-    """The cost of cities with more photos like those of a prepared scene, a row for each number.
+def scale_table(prepared: PreparedScene, options: TrainOptions, forecast: Forecast, device: Device,
+                photos: Iterable[int], workers: int = 1) -> Table:
+    """The cost of scenes with more photos like those of a prepared one, a row for each number.
 
-    Everything grows with the number of photos, but a block is as large as the device allows, or
-    smaller where there are more devices: `workers`, that train blocks at the same time.
+    Everything grows with the number of photos, but a single run takes the steps that its schedule
+    has for so many, and a block is as large as the device allows, or smaller where there are more
+    devices: `workers`, that train blocks at the same time. `options` are those that were given.
     """
-    views, options = prepared.train_views, prepared.options
+    views, facts = prepared.train_views, prepared.decisions.facts
     area = sum(view.camera.width * view.camera.height for view in views) / len(views)
     limit, shared = gaussians_that_fit(device, options), (1 + 2 * PartitionOptions().margin) ** 2
     rows = []
     for count in photos:
-        share = count / len(views)
+        share = count / len(prepared.scene.views)
         gaussians = int(forecast.gaussians * share)
         whole = gaussians <= limit and workers == 1
-        times, visits = (1, 1) if whole else (shared, BLOCK_STEPS)  # blocks that train a gaussian
+        times, visits = (1, 1.0) if whole else (shared, BLOCK_STEPS)  # blocks that train a gaussian
         blocks = max(-(-int(gaussians * times) // limit), workers)
         coarse = 0.0 if whole else COARSE_COST * forecast.seconds * share
-        trained = forecast.seconds * share * visits
+        longer = share * visits
+        if whole and is_auto(options.iterations):
+            longer = (worthwhile_steps(options, facts, round(share * len(views)))[0]
+                      / worthwhile_steps(options, facts, len(views))[0])
+        trained = forecast.seconds * longer
         elapsed = coarse + trained / blocks * -(-blocks // workers)
         rows.append((f"{count:,}", f"{blocks:,}", f"{count * times / blocks:,.0f}",
-                     f"{options.iterations * share * visits / blocks:,.0f}", f"{gaussians:,}",
+                     f"{forecast.steps * longer / blocks:,.0f}", f"{gaussians:,}",
                      f"{gaussians * PLY_BYTES / GIB:,.1f}",
                      f"{3 * area * count / GIB:,.1f}",
-                     f"{(trained + coarse) / 3600:,.2f}", f"{elapsed / 3600:,.2f}"))
-    head = ("photos", "blocks", "photos a block", "steps a block", "gaussians", "model, GiB",
-            "pixels, GiB", "device hours", f"hours on {workers}")
+                     f"{(trained + coarse) / 3600:,.3g}", f"{elapsed / 3600:,.3g}"))
+    head = ("photos", "blocks", "photos a block", "steps a block", "gaussians at most",
+            "model, GiB", "pixels, GiB", "device hours", f"hours on {workers}")
     return Table("At scale", head, rows, range(9), (
         f"For photos like these, on {device.name}, in as few blocks as fit it and at "
-        f"least one a device, which take {BLOCK_STEPS:g} times the steps of one run together. "
-        "The coarse run is on one device.",))
+        f"least one a device. Several take {BLOCK_STEPS:g} times the steps of one run together, "
+        "after a coarse run on one device.",))
 
 
 def trains_jointly(facts: SceneFacts, photos: int, options: ScheduledOptions) -> bool:

@@ -22,8 +22,8 @@ MOST_PHOTOS = 10**9
 
 @click.command(cls=TrainingCommand)
 @click.argument("scene", type=PATH)
-@click.option("--photos", default="", help="Also forecast cities with these numbers of photos "
-              "like those of SCENE, such as 1000,10000,100000.")
+@click.option("--photos", default="", help="Also forecast scenes with these numbers of photos "
+              "like those of SCENE, such as 172,1000,100000.")
 @click.option("--workers", type=click.IntRange(1, MOST_PHOTOS), default=1, show_default=True,
               help="With --photos: number of devices.")
 @training_flags
@@ -63,7 +63,7 @@ def plan(ctx: click.Context, /, scene: Path, photos: str, workers: int, **_optio
     _line("time", _time(found))
     if counts:
         from clsplat.cities.run import scale_table
-        click.echo(f"\n{scale_table(prepared, found, device, counts, workers).text()}")
+        click.echo(f"\n{scale_table(prepared, options, found, device, counts, workers).text()}")
 
 
 def _numbers(text: str) -> list[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import shlex
+import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from importlib import import_module
@@ -72,8 +73,13 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path,
         raise click.MissingParameter(ctx=ctx, param=ctx.command.params[0])
     options = None if resume or schedules else resolve(values, given)
     opened = _opened(options) if options else None
+    from clsplat.training.progress import BEGIN
+    began, mapped = time.perf_counter(), 0.0
     if scene is not None:
+        source = scene
         scene = trained_scene(scene, output, quiet, None if options is None else overwrite)
+        if scene != source:
+            mapped = time.perf_counter() - began
     if schedules:
         if resume or overwrite or "schedule" in given:
             raise InputError("--schedules: resumes runs by itself and names the schedules; leave "
@@ -89,6 +95,7 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path,
         raise InputError("--seeds: needs --schedules; for one run, use --seed")
     spent = _train(scene, output, options, given, overwrite, quiet, up, view, opened)
     if not quiet:
+        spent = {BEGIN: spent.pop(BEGIN) - mapped, "poses": mapped, **spent}
         click.echo("\n".join([*ending(output), time_line(spent)]))
 
 

@@ -82,15 +82,26 @@ def test_what_ten_times_the_photos_take():
     view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
     options = resolve({}, {"iterations": 1000})
     limit = run.gaussians_that_fit(device, options)
-    planned = SimpleNamespace(train_views=[view] * 100, options=options)
-    forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0, steps=4000)
-    small, large = run.scale_table(planned, forecast, device, [200, 2000]).rows
-    assert small[:4] == ("200", "1", "200", "2,000") and small[7] == "2.00"
+    planned = SimpleNamespace(train_views=[view] * 80, scene=SimpleNamespace(views=[view] * 100),
+                              decisions=SimpleNamespace(facts=None))
+    forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0, steps=1000)
+
+    def scale_table(*given):
+        return run.scale_table(planned, options, forecast, device, *given)
+
+    small, large = scale_table([200, 2000]).rows
+    assert small[:4] == ("200", "1", "200", "2,000") and small[7] == "2"
     # twenty times the scene, each part of it in 1.6**2 blocks, which share twice the steps
-    assert large[1] in ("25", "26") and large[7] == f"{20 * 2.25:.2f}"
-    table = run.scale_table(planned, forecast, device, [200], 4)
-    assert large[1:2] == run.scale_table(planned, forecast, device, [2000], 4).rows[0][1:2]
+    assert large[1] in ("25", "26") and large[7] == f"{20 * 2.25:.3g}"
+    table = scale_table([200], 4)
+    assert large[1:2] == scale_table([2000], 4).rows[0][1:2]
     rounds = -(-int(large[1]) // 4)  # of blocks on four devices, after the coarse run
-    assert hours(run.scale_table(planned, forecast, device, [2000], 4))[1] == pytest.approx(
-        20 * (0.25 + 2 * rounds / int(large[1])), abs=0.006)
+    assert hours(scale_table([2000], 4))[1] == pytest.approx(
+        20 * (0.25 + 2 * rounds / int(large[1])), rel=0.006)
     assert table.rows[0][1] == "4" and hours(table) == pytest.approx([4.5, 0.5 + 1], abs=0.006)
+    # one run takes the steps of its schedule: 300 a photo of 80 in 100, and at least 7,000
+    options = resolve({}, {"schedule": "constant"})
+    forecast = SimpleNamespace(gaussians=1, seconds=3600.0, steps=24_000)
+    assert hours(run.scale_table(planned, options, forecast, device, [110]))[0] == pytest.approx(
+        1.1, rel=0.006)
+    assert run.scale_table(planned, options, forecast, device, [10]).rows[0][3] == "7,000"

@@ -148,7 +148,8 @@ def main(argv):
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("output", type=Path)
     parser.add_argument("photos", type=Path, nargs="+")
-    parser.add_argument("--way", choices=WAYS, help=argparse.SUPPRESS)
+    parser.add_argument("--only", choices=WAYS, help="measure one way")
+    parser.add_argument("--way", choices=WAYS, help=argparse.SUPPRESS)  # of a process of its own
     keeps(parser)
     args = parser.parse_args(argv)
     if args.way:
@@ -158,7 +159,7 @@ def main(argv):
     rows = []
     for photos in args.photos:
         name = "_".join(photos.resolve().parts[-2:])
-        for way in WAYS:
+        for way in [args.only] if args.only else WAYS:
             rows.append(measure(photos, args.output / f"{name}_{way}", way))
             print(*rows[-1], flush=True)
     table = Table(TITLE, HEAD, [[text(value) for value in row] for row in rows],
