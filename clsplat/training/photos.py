@@ -12,10 +12,11 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from io import BufferedRandom, BytesIO
+from io import BytesIO
 from itertools import chain
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,7 +168,7 @@ class PhotoStore:
                  folder: Path | None = None) -> None:
         ends, self._decode, self._lock = np.cumsum(sizes), decode, Lock()
         self._begins: list[int] = (ends - sizes).tolist()
-        self._file: BufferedRandom | BytesIO | None = None
+        self._file: Any = None  # BytesIO, or what TemporaryFile is on this system
         try:
             if sum(sizes) <= IN_MEMORY_BYTES:  # some systems write a file to disk at its end
                 self.count, self._file = len(sizes), BytesIO()
@@ -186,7 +187,6 @@ class PhotoStore:
         photo = self._decode(index)
         try:
             with self._lock:
-                assert self._file is not None
                 self._file.seek(self._begins[index])
                 self._file.write(photo.data)
         except (OSError, MemoryError, ValueError):  # there is no space, or the store is closed
@@ -204,7 +204,6 @@ class PhotoStore:
         if shape is not None:
             photo = np.empty(shape, np.uint8)
             with self._lock:
-                assert self._file is not None
                 self._file.seek(self._begins[index])
                 if self._file.readinto(photo.data) == photo.nbytes:
                     return photo
