@@ -1,12 +1,11 @@
 """The reference against an independent one: gsplat 1.5.3's pure-torch code, on the CPU, in float64.
-So are the gradients that the example docs/examples/torch_autograd.py takes on a device.
 
-Needs torch and gsplat, which clsplat does not; elsewhere it is skipped. To run it, from the root:
+Needs torch and gsplat, which clsplat does not. To run it, from the root:
 
     python -m venv /tmp/oracle
     /tmp/oracle/bin/pip install torch==2.13.0 -e .[test,cpu] && \
         /tmp/oracle/bin/pip install --no-deps gsplat==1.5.3
-    /tmp/oracle/bin/python -m pytest tests/system/test_oracle_gsplat.py -m slow
+    /tmp/oracle/bin/python -m tools.studies.gsplat_oracle
 
 gsplat's projection, spherical harmonics, accumulation and torch's derivatives of them are used.
 Its lists of pairs come from CUDA, and its sums along rays from nerfacc (CUDA too), so these two are
@@ -20,44 +19,34 @@ written here from their documentation. Where gsplat differs from clsplat, the ca
 - the determinant is a difference of products, and at least 1e-10: no needles here.
 """
 
-import runpy
+import itertools
 import sys
 import types
-from pathlib import Path
 
 import numpy as np
-import pytest
+import torch
 
-import clsplat
 from tests import cases
 from tests.checks import close
 from tests.reference.blend import blend, blend_adjoint
 from tests.reference.project import project, project_adjoint
 
-torch = pytest.importorskip("torch", reason="the oracle needs torch; see the head of this file")
-pytest.importorskip("gsplat", reason="the oracle needs gsplat 1.5.3; see the head of this file")
-
-pytestmark = pytest.mark.slow
-
-EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "torch_autograd.py"
 CASES = ("plain", "ragged", "grazing", "less_than_a_tile", "degree_0", "degree_1", "degree_2",
          "lower_degree_active", "stack")
 
 
-@pytest.fixture
-def gsplat(monkeypatch):
-    """gsplat's torch code, with the two functions of nerfacc that it calls."""
-    nerfacc = types.ModuleType("nerfacc")
-    nerfacc.render_weight_from_alpha = render_weight_from_alpha
-    nerfacc.accumulate_along_rays = accumulate_along_rays
-    monkeypatch.setitem(sys.modules, "nerfacc", nerfacc)
+def main():
+    sys.modules["nerfacc"] = types.SimpleNamespace(
+        render_weight_from_alpha=render_weight_from_alpha,
+        accumulate_along_rays=accumulate_along_rays)
     from gsplat.cuda import _torch_impl
-    return _torch_impl
+    for name, antialiased in itertools.product(CASES, (False, True)):
+        compare(_torch_impl, name, antialiased)
+        print(f"{name}{', antialiased' if antialiased else ''}: agrees")
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
-@pytest.mark.parametrize("name", CASES)
-def test_image_depth_and_gradients_agree(gsplat, name, antialiased):
+def compare(gsplat, name, antialiased):
+    """Image, depth and all gradients of a case, within the rounding of float64."""
     case = cases.gaussians(name, seed=5)
     case["rows"]["opacity_logits"] = np.minimum(case["rows"]["opacity_logits"], 4)
     camera, degree, near = case["camera"], case["degree"], case["near"]
@@ -84,30 +73,6 @@ def test_image_depth_and_gradients_agree(gsplat, name, antialiased):
     for key, grad in grads.items():
         theirs = np.zeros(grad.shape) if rows[key].grad is None else rows[key].grad
         close(grad, theirs, "double", f"gradient of {key}")
-
-
-@pytest.mark.parametrize("name", ["plain", "ragged", "degree_2"])
-def test_the_example_of_torch_gives_the_same_gradients(gsplat, name, item_device):
-    example = runpy.run_path(str(EXAMPLE))
-    case = cases.gaussians(name, seed=5)
-    case["rows"]["opacity_logits"] = np.minimum(case["rows"]["opacity_logits"], 4)
-    seen, rows = case["camera"], case["rows"]
-    camera = clsplat.Camera(seen["width"], seen["height"], (seen["fx"], seen["fy"]),
-                            (seen["cx"], seen["cy"]), seen["rotation"], seen["translation"])
-    model = clsplat.Gaussians({key: value.astype(np.float32) for key, value in rows.items()},
-                              case["degree"])
-    renderer = clsplat.Renderer(item_device, model, background=tuple(case["background"]),
-                                near=float(case["near"]))
-    grad_image = torch.tensor(np.random.default_rng(0).normal(size=(camera.height, camera.width, 3))
-                              .astype(np.float32))
-
-    ours = {key: torch.tensor(model.rows[key], requires_grad=True) for key in example["FIELDS"]}
-    (example["Render"].apply(renderer, camera, *ours.values()) * grad_image).sum().backward()
-    theirs = {key: torch.tensor(value, requires_grad=True) for key, value in rows.items()}
-    image, _, _ = render(gsplat, theirs, case, antialiased=False)
-    (image * grad_image.permute(2, 0, 1)).sum().backward()
-    for key, values in ours.items():
-        close(values.grad, theirs[key].grad, "float", f"gradient of {key}")
 
 
 def render(gsplat, rows, case, antialiased):
@@ -170,3 +135,7 @@ def accumulate_along_rays(weights, values, ray_indices, n_rays):
     """Sums over each ray of the weights, or of the weighted values."""
     terms = weights[:, None] if values is None else weights[:, None] * values
     return torch.zeros(n_rays, terms.shape[-1], dtype=terms.dtype).index_add(0, ray_indices, terms)
+
+
+if __name__ == "__main__":
+    main()
