@@ -27,7 +27,6 @@ Defines = tuple[tuple[str, Any], ...]  # (name, value) of the constants of a bui
 Factors = list[tuple[Any, Any]]  # of a size: quotients of two names or numbers
 SCALARS = {
     "int": np.int32, "uint": np.uint32, "ulong": np.uint64, "float": np.float32, "uchar": np.uint8}
-EITHER = {"moment": np.dtype(np.uint16)}  # arrays of this type in some builds, of real in others
 DEVICE_SIZES = {  # name -> attribute of Device
     "TILE": "tile", "SCAN_GROUP": "scan_group", "WAVE": "wave", "BUCKET": "bucket",
     "ADJOINT_GROUP": "adjoint_group"}
@@ -104,8 +103,7 @@ class Kernel:
     launch : of both forms, or `Forms` with one for each; None: that form has no such kernel.
     arguments : in the order of the OpenCL signature; a string is a scalar of that type, a tuple an
         array: its type, then its shape, where equal letters must agree; `Only` for one that some
-        builds lack. `real` is float, or double
-        on a device opened for double precision; for `moment` see EITHER.
+        builds lack. `real` is float, or double on a device opened for double precision.
 
     Attributes
     ----------
@@ -190,9 +188,8 @@ class Contract:
         # (name, dtype or None for the device's real, shape or None for a scalar)
         self._checks = [
             (name, None, None) if isinstance(a, str) else
-            (name, None if a[0] in ("real", *EITHER) else np.dtype(SCALARS[a[0]]), a[1:])
+            (name, None if a[0] == "real" else np.dtype(SCALARS[a[0]]), a[1:])
             for name, a in self.arguments.items()]
-        self._either = {name: EITHER[a[0]] for name, a in self.arguments.items() if a[0] in EITHER}
         self._fixed = {n: n for _, _, shape in self._checks for n in shape or ()
                        if isinstance(n, int)}
         known = {name for name, a in self.arguments.items() if isinstance(a, str)}.union(
@@ -221,8 +218,7 @@ class Contract:
                 sizes[name] = value
                 arguments.append(value)
                 continue
-            if value.dtype != (dtype or real) and not (
-                    name in self._either and value.dtype == self._either[name]):
+            if value.dtype != (dtype or real):
                 raise ShapeError(
                     f"{self.kernel}: '{name}' is {value.dtype}, expected {dtype or real}")
             fits = len(value.shape) == len(shape)
@@ -284,8 +280,7 @@ def _same_type(actual: str, declared: str) -> bool:
     for kind in ("int", "char", "short"):
         actual = actual.replace(f"unsigned{kind}", f"u{kind}")
     base, pointer = declared.rstrip("*"), declared.endswith("*")
-    bases = {"real": ("float", "double", "real"),
-             "moment": ("float", "double", "real", "ushort", "moment")}.get(base, (base,))
+    bases = ("float", "double", "real") if base == "real" else (base,)
     if pointer:  # wider loads of the same scalars are fine: float4* reads float rows
         return actual.endswith("*") and actual.rstrip("*").rstrip("0123456789") in bases
     return actual in bases

@@ -46,7 +46,7 @@ _SMALL_MOMENTS = dict(m=("real", "N", SMALL_COLUMNS), v=("real", "N", SMALL_COLU
 _ROWS = dict(
     positions=("real", "N", 3), sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3),
     opacity_logits=("real", "N"), log_scales=("real", "N", 3), quaternions=("real", "N", 4),
-    **_SMALL_MOMENTS, m_rest=("moment", "N", "S"), v_rest=("moment", "N", "S"),
+    **_SMALL_MOMENTS, m_rest=("real", "N", "S"), v_rest=("real", "N", "S"),
     last_step=("uint", "N"))
 _COUNTS = dict(counts=("uint", FRAME_COUNTS))
 _COEFFICIENTS = dict(coefficients=("real", CATCH_UP_EVERY, LAZY_TERMS))
