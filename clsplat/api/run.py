@@ -1,10 +1,9 @@
 """`clsplat.Run`: a run that is continued, evaluated and shown in notebooks."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 from clsplat import scene as core
 from clsplat.api.gaussians import Gaussians
@@ -18,6 +17,7 @@ from clsplat.report.notebook import run_page
 from clsplat.training.checkpoint import latest_model
 from clsplat.training.loop import resume
 from clsplat.training.part import Part
+from clsplat.training.recorder import Callback
 
 
 class Run(run.Run):
@@ -44,8 +44,7 @@ class Run(run.Run):
         return Scene.of(super().scene(path, whole=whole))
 
     def resume(self, *, device: Device | None = None, scene: core.Scene | None = None,
-               parts: Iterable[Part] = (),
-               callbacks: Iterable[Callable[[dict[str, Any]], object]] = ()) -> None:
+               parts: Iterable[Part] = (), callbacks: Iterable[Callback] = ()) -> None:
         """Continue a training that was stopped, from its last checkpoint to its end.
 
         Parameters

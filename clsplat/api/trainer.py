@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
@@ -25,13 +25,13 @@ from clsplat.schedule.plan import Schedule
 from clsplat.training import loop
 from clsplat.training.interrupt import deferred_interrupt
 from clsplat.training.part import Part
+from clsplat.training.recorder import Callback
 
 
 def train(scene: Scene | str | PathLike[str], options: TrainOptions | None = None, *,
           output: str | PathLike[str] | None = None, device: Device | None = None,
           parts: Iterable[Part] = (), schedule: type[Schedule] | None = None,
-          overwrite: bool = False, callbacks: Iterable[Callable[[dict[str, Any]], object]] = ()
-          ) -> Run:
+          overwrite: bool = False, callbacks: Iterable[Callback] = ()) -> Run:
     """Train gaussians on a scene; the same as `clsplat train`.
 
     Parameters
@@ -93,8 +93,7 @@ class Trainer:
     def __init__(self, scene: Scene | str | PathLike[str], options: TrainOptions | None = None, *,
                  output: str | PathLike[str] | None = None, device: Device | None = None,
                  parts: Iterable[Part] = (), schedule: type[Schedule] | None = None,
-                 overwrite: bool = False,
-                 callbacks: Iterable[Callable[[dict[str, Any]], object]] = ()) -> None:
+                 overwrite: bool = False, callbacks: Iterable[Callback] = ()) -> None:
         data, chosen, opened = opened_training(scene, options, device, schedule)
         folder = folder_of(output)
         with ExitStack() as opening:
