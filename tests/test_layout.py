@@ -60,7 +60,7 @@ USED_BY_APPS = {"camera", "constants", "device", "edit", "errors", "evaluation",
 # package -> the only folders that may import it
 WALLS = {
     "pyopencl": ("clsplat/device/",),
-    "pycolmap": ("clsplat/io/", "clsplat/sfm/", "tools/studies/priors.py"),
+    "pycolmap": ("clsplat/io/", "clsplat/sfm/", "tools/studies/"),
     "rasterio": ("clsplat/apps/geotiff.py", "tools/"),
     **dict.fromkeys(("laspy", "lazrs", "zstandard"), ("clsplat/io/",)),
     "pyproj": ("clsplat/io/georeference/crs.py",),

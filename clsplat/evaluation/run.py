@@ -57,12 +57,7 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
     """
     if path.is_dir():
         run = Run.open(path)
-        options, model = run.options, run.finished_model
-        place = run.folder.scene_path(scene_path)
-        scene = read_scene(place, options.images if scene_path is None
-                           or (place / options.images).is_dir() else "")
-        if run.record.get("fingerprint") == fingerprint(scene):
-            scene = scene.corrected(read_poses(run.path))
+        options, model, scene = run.options, run.finished_model, scene_of_views(run, scene_path)
     elif scene_path is None:
         raise InputError(f"{path}: a file of gaussians has no cameras; name them with "
                          "--scene SCENE")
@@ -73,6 +68,16 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
     # of a run and another scene, the local origins differ
     model = shown(model, path).moved(scene.offset)
     return model, scene.reduced(options.downscale, options.max_resolution), options
+
+
+def scene_of_views(run: Run, scene_path: Path | None) -> Scene:
+    """The scene from whose cameras a run is rendered, at full size, with corrected poses: the run's
+    own, or that of a path, which may be another one."""
+    place, images = run.folder.scene_path(scene_path), run.options.images
+    scene = read_scene(place, images if scene_path is None or (place / images).is_dir() else "")
+    if run.record.get("fingerprint") == fingerprint(scene):
+        scene = scene.corrected(read_poses(run.path))
+    return scene
 
 
 class Run:
