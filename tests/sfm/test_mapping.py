@@ -76,6 +76,15 @@ def test_the_attempt_that_fits_best_is_taken_and_a_chosen_model_stays(tmp_path, 
     assert mapping._placed(tmp_path / "d.db", cameras, False, Lines()) is models[0]
 
 
+def test_each_attempt_begins_with_the_matches_and_a_seed_of_its_own(tmp_path, monkeypatch):
+    synthetic(tmp_path / "d.db")
+    before, seeds, pipeline = (tmp_path / "d.db").read_bytes(), [], pycolmap.GlobalPipeline
+    monkeypatch.setattr(pycolmap, "GlobalPipeline", lambda options, *given: (
+        seeds.append(options.random_seed), pipeline(options, *given))[1])
+    assert len(mapping._global(tmp_path / "d.db", False, 2, Lines())) == 2
+    assert seeds == [0, 1] and (tmp_path / "d.db").read_bytes() == before
+
+
 def test_incremental_mapping_follows_what_does_not_register_all(tmp_path, monkeypatch):
     synthetic(tmp_path / "d.db")
     monkeypatch.setattr(mapping, "_global", lambda *_: [])
