@@ -73,7 +73,6 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path,
         raise click.MissingParameter(ctx=ctx, param=ctx.command.params[0])
     options = None if resume or schedules else resolve(values, given)
     opened = _opened(options) if options else None
-    from clsplat.training.progress import BEGIN
     began, mapped = time.perf_counter(), 0.0
     if scene is not None:
         source = scene
@@ -95,12 +94,15 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path,
         raise InputError("--seeds: needs --schedules; for one run, use --seed")
     spent = _train(scene, output, options, given, overwrite, quiet, up, view, opened)
     if not quiet:
-        spent = {BEGIN: spent.pop(BEGIN) - mapped, "poses": mapped, **spent}
-        click.echo("\n".join([*ending(output), time_line(spent)]))
+        click.echo("\n".join([*ending(output), time_line(spent, mapped)]))
 
 
-def time_line(spent: dict[str, float]) -> str:
-    """What the seconds of a command were spent for."""
+def time_line(spent: dict[str, float], mapped: float = 0.0) -> str:
+    """What the seconds of a command were spent for; in those before its first phase, the scene was
+    made of photos for so long."""
+    from clsplat.training.progress import BEGIN
+    spent = {BEGIN: spent[BEGIN] - mapped, "poses": mapped, **{
+        purpose: seconds for purpose, seconds in spent.items() if purpose != BEGIN}}
     parts = ", ".join(f"{purpose} {seconds:.1f}" for purpose, seconds in spent.items()
                       if seconds >= LEAST_SHOWN)
     return f"time:    {sum(spent.values()):.1f} s: {parts}"

@@ -114,4 +114,5 @@ def test_what_the_seconds_were_spent_for(monkeypatch):
                                    ("evaluation", 1), ("files", 0.25), ("report", 0.02)]
     assert time_line(spent) == ("time:    13.8 s: imports 1.5, plan 1.0, dense points 3.0, "
                                 "steps 7.0, evaluation 1.0, files 0.2")
+    assert time_line(spent, 1.25).startswith("time:    13.8 s: imports 0.2, poses 1.2, plan 1.0")
     assert progress.spent() == spent  # no second is counted twice
