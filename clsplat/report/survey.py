@@ -120,9 +120,9 @@ def _map(title: str, low: NDArray[np.float64], high: NDArray[np.float64], conten
     """An SVG of the area between two corners, with its size; `content` is in map units from `low`,
     with y to the north."""
     width, height = high - low
-    size = (f"{length(width)} x {length(height)}" if survey.georeference
+    size = (f"{length(width)} x {length(height)}, north is upwards" if survey.georeference
             else f"{width:.3g} x {height:.3g} units of the scene")
-    return (f"<h4>{title}</h4>\n<p class=note>{size}, north is upwards</p>\n"
+    return (f"<h4>{title}</h4>\n<p class=note>{size}</p>\n"
             f'<svg viewBox="0 0 {width:.6g} {height:.6g}">'
             f'<g transform="translate(0 {height:.6g}) scale(1 -1)">{content}</g></svg>\n')
 

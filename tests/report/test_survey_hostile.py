@@ -144,11 +144,11 @@ def test_a_camera_is_coloured_by_its_residual_if_that_is_known():
     colours = re.findall('<circle [^>]*fill="(.*?)"', html)
     assert colours[1] == NO_RESIDUAL and colours[2] == "rgb(253 231 37)" != colours[0]
     assert html.count("stroke=") == html.count("left out</title>") == 1
-    assert "0.jpg, 1.3 m from its GPS" in html
+    assert "0.jpg, 1.3 m from its GPS" in html and "north is upwards" in html
     html = survey_maps(survey_of(flight(3)))
     places = np.array(re.findall('<circle cx="(.*?)" cy="(.*?)"', html), float)
     assert np.allclose(np.diff(places[:, 0]), 20) and np.ptp(places[:, 1]) == 0
-    assert "<h4>cameras</h4>" in html
+    assert "<h4>cameras</h4>" in html and "north" not in html
 
 
 @pytest.mark.parametrize("metres, words", [(0.0054, "5.4 mm"), (0.049, "4.9 cm"), (57.04, "57 m"),
