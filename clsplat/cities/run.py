@@ -195,8 +195,8 @@ def gaussians_that_fit(device: Device, options: RenderingOptions) -> int:
     return max(1, int(MODEL_SHARE * device.handle.global_mem_size / each))
 
 
-def scale_table(prepared: PreparedScene, options: TrainOptions, forecast: Forecast, device: Device,
-                photos: Iterable[int], workers: int = 1) -> Table:
+def scale_table(prepared: PreparedScene, options: ScheduledOptions, forecast: Forecast,
+                device: Device, photos: Iterable[int], workers: int = 1) -> Table:
     """The cost of scenes with more photos like those of a prepared one, a row for each number.
 
     Everything grows with the number of photos, but a single run takes the steps that its schedule
