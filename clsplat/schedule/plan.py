@@ -21,6 +21,7 @@ STEPS_A_ROUND = 100  # between rounds of growth, by default
 # what schedules as published, also sig's, leave out
 AS_PUBLISHED = {"exposure": "off", "average": 0.0, "opacity_weight": 0.0}
 FEWEST_ENTERING = 100  # points at a level: where they are fewer, the next finer begins at once
+USUAL_PHOTOS = 5.0  # that show a point
 
 
 @dataclass(frozen=True)

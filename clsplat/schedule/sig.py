@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from clsplat.config.option import is_auto
 from clsplat.errors import InputError
 from clsplat.schedule.convergence import judge
-from clsplat.schedule.plan import Plan, SceneFacts, Schedule, listed, sizes_text
+from clsplat.schedule.plan import USUAL_PHOTOS, Plan, SceneFacts, Schedule, listed, sizes_text
 from clsplat.schedule.sig_options import SigOptions
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ LEAST_ENTERING = 50  # of a level that begins with points, and does not grow
 COLOUR_ERROR = 0.0072  # of full brightness: the standard error of a gaussian's colour
 LEAST_PIXELS_A_GAUSSIAN = 15.0  # where photos agree: it has 59 parameters, a pixel 3 values
 USUAL_DISAGREEMENT = 0.03  # where the sparse model does not tell which photos show a point
-USUAL_PHOTOS = 5.0  # that show a point
 MOST_A_PHOTO = 75  # steps for each training photo; after more, held-out photos get worse
 ENOUGH = 3500  # steps, however few the photos are, if they agree
 AGREEING = 0.036  # of full brightness: photos of a place that differ by more allow fewer steps

@@ -4,21 +4,24 @@ We assume that each level ends at the earliest test that its schedule allows, an
 gaussians densified in a round is proportional to a power of the photos' fine detail. The four
 constants were fitted to runs of 7000 steps on caliterra (half and full size), boruszyn, lund and
 the city. There the prediction of the largest number of gaussians was 1.00 to 1.05 of the actual one
-with sig, 0.73 to 1.42 with constant, 0.52 to 1.01 with dash, 1.00 to 1.26 with taming; other scenes
-may be off by more. `--max-gaussians` bounds it.
+with sig, 0.73 to 1.42 with constant, 0.52 to 1.01 with dash, 1.00 to 1.26 with taming. The share of
+dense points was fitted on sheffield_all and ochota; on three other sets and the city the largest
+number was 0.86 to 1.38 of the actual one, the last 0.63 to 1.02. Other scenes may be off by more. `--max-gaussians`
+bounds it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from clsplat.schedule.plan import FEWEST_ENTERING, Schedule
+from clsplat.schedule.plan import FEWEST_ENTERING, USUAL_PHOTOS, Schedule
 from clsplat.schedule.sig_options import VARIANTS
 
 MOST_DENSIFIED = 0.4  # share of the gaussians that a round of growth densifies at most
 # In a round, a level densifies PER_PIXEL gaussians for each of its training pixels, times the POWER
-# of detail / SHARP (at most 1), times SETTLED to the power of the position rate's decay.
-PER_PIXEL, SHARP, POWER, SETTLED = 0.009, 0.0125, 3, 0.03
+# of detail / SHARP (at most 1), times SETTLED to the power of the position rate's decay. If more
+# than USUAL_PHOTOS show a place, it still grows only once for all of them. Dense points grow less.
+PER_PIXEL, SHARP, POWER, SETTLED, DENSE_SHARE = 0.009, 0.0125, 3, 0.03, 0.4
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,8 @@ def _steps(schedule: Schedule, detail: Callable[[float], float] | None
            ) -> Iterator[tuple[float, int, bool]]:
     """(level, gaussians, whether it regularises) of each step."""
     flat = {f"{variant}_mean": 1.0 for variant in VARIANTS}
-    count, pixels = schedule.facts.count, schedule.facts.pixels
+    count = schedule.facts.count
+    pixels = schedule.facts.pixels / max(1.0, schedule.facts.shown_in / USUAL_PHOTOS)  # nan: 1
     for iteration in range(1, schedule.options.iterations + 1):
         plan = schedule.plan(iteration)
         entered = (max(min(count, FEWEST_ENTERING), int(count / plan.level**2))
@@ -53,6 +57,7 @@ def _steps(schedule: Schedule, detail: Callable[[float], float] | None
         yield plan.level, entered, plan.regularises > 0
         if plan.grows:
             share = 1.0 if detail is None else min(1.0, (detail(plan.level) / SHARP) ** POWER)
+            share *= DENSE_SHARE if schedule.facts.dense else 1.0
             densified = PER_PIXEL * share * pixels / plan.level**2 * SETTLED**plan.decay
             count = _grown(schedule, iteration, count, densified)
         if iteration % schedule.observe_every == 0:

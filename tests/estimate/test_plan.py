@@ -77,6 +77,19 @@ def test_demand_is_that_of_fine_detail():
     assert limited[:9] == sharp[:9]  # room is not demand
 
 
+def test_photos_that_overlap_much_and_dense_points_ask_for_less():
+    def added(**facts):
+        options = scaled_steps(resolve({}, {"schedule": "constant", "iterations": 30000}))
+        facts = SceneFacts((512, 382), 10**5, 20.0, tuple, 10**6, **facts)
+        counts = [s.gaussians for s in simulate(schedule_of("constant")(options, facts))]
+        return counts[1] - counts[0]
+
+    usual = added()
+    assert added(shown_in=3.0) == added(shown_in=5.0) == usual
+    assert added(shown_in=20.0) == pytest.approx(usual / 4, rel=0.01)
+    assert added(dense=True) == pytest.approx(0.4 * usual, rel=0.01)
+
+
 def test_detail_is_what_half_the_size_would_not_show(tmp_path):
     board = np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((1, 1)))[..., None].repeat(3, 2)
     lines = np.zeros((8, 8, 3))
@@ -168,7 +181,8 @@ def test_a_run_takes_what_was_foretold(tmp_path, item_device, monkeypatch, optio
     peaks = measured_peak(fresh, monkeypatch)
     run = trained(tmp_path, scene, fresh, **options)
     steps = records(run, "step")
-    assert steps[-1]["gaussians"] == pytest.approx(foretold.gaussians, rel=0.15)
+    assert max(record["gaussians"] for record in records(run, "grow")) == pytest.approx(
+        foretold.gaussians, rel=0.2)
     assert foretold.memory.steps == pytest.approx(
         max(step["memory_bytes"] for step in steps), rel=0.2)
     assert foretold.memory.total == pytest.approx(peaks[-1], rel=0.2)
