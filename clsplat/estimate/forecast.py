@@ -266,6 +266,13 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
                                             for place in range(len(model))))
         frame = np.dot(cost, (1, pixels(prepared.train_views, segment.level), segment.gaussians))
         model, steps = grown, max(steps, nbytes + int(frame) + sum(grown))
+    # evaluations copy the rows, and the mean of the last steps has a sum of each
+    learned = Model.arrays([field.name for field in LEARNED], prepared.options.sh_degree,
+                           segments[-1].gaussians)
+    sums = sum(spec.nbytes(device.real) for spec in learned.values())
+    averages = prepared.options.average > 0
+    total = max(total, nbytes + int(frame) + sum(model) + (1 + averages) * sums)
+    steps = max(steps, nbytes + int(frame) + sum(model) + averages * sums)
     return Memory(max(total, steps), steps,
                   max(nbytes * resident for nbytes, resident in photos.values()),
                   all(resident for _, resident in photos.values()), sum(model))

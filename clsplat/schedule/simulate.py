@@ -6,8 +6,8 @@ constants were fitted to runs of 7000 steps on caliterra (half and full size), b
 the city. There the prediction of the largest number of gaussians was 1.00 to 1.05 of the actual one
 with sig, 0.73 to 1.42 with constant, 0.52 to 1.01 with dash, 1.00 to 1.26 with taming. The share of
 dense points was fitted on sheffield_all and ochota; on three other sets and the city the largest
-number was 0.86 to 1.38 of the actual one, the last 0.63 to 1.02. Other scenes may be off by more. `--max-gaussians`
-bounds it.
+number was 0.86 to 1.38 of the actual one, the last 0.63 to 1.02. Other scenes may be off by more.
+`--max-gaussians` bounds it.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -301,7 +301,8 @@ class Step:
     def _grow(self, iteration: int, plan: Plan, schedule: Schedule,
               scoring_views: ScoringViews, cameras: Callable[[], Iterable[SizedCamera]]
               ) -> dict[str, int]:
-        model, statistics = self.model, self.statistics
+        self.release()  # what follows renders frames of other sizes
+        model, statistics = self._model, self._statistics
         model.catch_up()
         self.rows_changed()
         frozen = np.zeros(model.count, bool) if model.frozen is None else (

@@ -170,8 +170,9 @@ def measured_peak(device, monkeypatch):
                  marks=pytest.mark.nightly),
     {"schedule": "taming", "downscale": 4.0, "iterations": 240, "taming_budget": 4.0}], ids=str)
 def test_a_run_takes_what_was_foretold(tmp_path, item_device, monkeypatch, options):
-    """Memory, which has the margins of training/capacity.py, within 20 %; of the time no more
-    is asked for than a busy machine can keep. What the forms allocate is counted above."""
+    """Memory, which has the margins of training/capacity.py, within 20 %, at its peak 30 %; of the
+    time no more is asked for than a busy machine can keep. What the forms allocate is counted
+    above."""
     scene = read_scene(CITY)
     options = {"exposure": "off", "reset_every": 0, "prune_opacity": 0.005, "densify_from": 100,
                "densify_every": 25, "grow_threshold": 2e-5, "densify_until": 0, **options}
@@ -181,11 +182,11 @@ def test_a_run_takes_what_was_foretold(tmp_path, item_device, monkeypatch, optio
     peaks = measured_peak(fresh, monkeypatch)
     run = trained(tmp_path, scene, fresh, **options)
     steps = records(run, "step")
-    assert max(record["gaussians"] for record in records(run, "grow")) == pytest.approx(
+    assert max(step["gaussians"] for step in (*steps, *records(run, "grow"))) == pytest.approx(
         foretold.gaussians, rel=0.2)
     assert foretold.memory.steps == pytest.approx(
         max(step["memory_bytes"] for step in steps), rel=0.2)
-    assert foretold.memory.total == pytest.approx(peaks[-1], rel=0.2)
+    assert foretold.memory.total == pytest.approx(peaks[-1], rel=0.3)
     assert 0.2 < foretold.seconds / steps[-1]["train_seconds"] < 5
 
 
