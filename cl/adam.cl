@@ -6,9 +6,10 @@
 // with rate = learning rate / (1 - beta1^t), correction = 1 / sqrt(1 - beta2^t).
 //
 // adam_step moves the rows that have a gradient: the 14 small columns of all fields but the
-// harmonics (m, v: real[N, 14], in the order of SMALL_...), and the active harmonics (m_rest,
-// v_rest: real[N, SH_STRIDE]). rows: uint[V], the row of each gradient; NO_ROW is skipped: row and
-// moments stay for this step. Elementwise, one writer each. Nothing moves once a frame has failed.
+// harmonics (m, v: [N, 14], in the order of SMALL_...), and the active harmonics (m_rest, v_rest:
+// [N, SH_STRIDE]); moments.h says how moments are stored. rows: uint[V], the row of each gradient;
+// NO_ROW is skipped: row and moments stay for this step. Elementwise, one writer each. Nothing
+// moves once a frame has failed.
 //
 // Dense Adam moves all other rows as well, with g = 0. Nobody reads them, so adam_catch_up does it
 // later, for all steps after last_step[row] at once. Without gradients m and v only decay, so that
@@ -29,12 +30,16 @@
 #include "harmonics.h"
 #include "vector.h"
 #include "counts.h"
+#include "moments.h"
 #define SH_STRIDE (3 * SH_REST)
 #define SH_COLUMNS (3 * SH_ACTIVE)
 enum {
     SMALL_POSITION = 0, SMALL_CONSTANT = 3, SMALL_OPACITY = 6, SMALL_SCALE = 7, SMALL_TURN = 10
 };
 typedef char every_column_has_a_moment[SMALL_TURN + 4 == SMALL_COLUMNS ? 1 : -1];
+// The number of a column of a row among all, for noise_of; it may begin anew.
+#define SMALL_ELEMENT(ROW, COLUMN) ((ROW) * (SMALL_COLUMNS + SH_STRIDE) + (COLUMN))
+#define REST_ELEMENT(ROW, COLUMN) SMALL_ELEMENT(ROW, SMALL_COLUMNS + (COLUMN))
 enum { // columns of coefficients: C of the fields in their order
     LAZY_POSITIONS, LAZY_SH_CONSTANT, LAZY_SH_REST, LAZY_OPACITY, LAZY_SCALES, LAZY_TURNS,
     LAZY_C, // of a rate of 1
@@ -82,8 +87,13 @@ inline void add_terms(uint i, uint now, real8 rates, real correction,
 }
 
 // |m| / sqrt(v) of whatever gradients, at most (1 - beta1) / sqrt((1 - beta2)(1 - beta1^2 / beta2))
-// by Cauchy and Schwarz, 7.27, and a hair more; times C it bounds how far a column may drift.
+// by Cauchy and Schwarz, 7.27, and a hair more; times C it bounds how far a column may drift. Codes
+// of v may be two thirds of it, and less after many steps, though hardly ever.
+#if CODED
+#define MAX_MOMENTUM_RATIO 12.0
+#else
 #define MAX_MOMENTUM_RATIO 7.4
+#endif
 
 #define MOST_CUTOFF 11.1 // 2 ln(ALPHA_STEPS), of an opacity of 1, and a hair more
 typedef char the_cutoff_is_high_enough[ALPHA_STEPS <= 255 ? 1 : -1];
@@ -169,8 +179,8 @@ inline LazyState lazy_state(uint last, uint now, bool keeps, __global const real
     __global real *restrict positions, __global real *restrict sh_constant,                        \
     __global real *restrict sh_rest, __global real *restrict opacity_logits,                       \
     __global real *restrict log_scales, __global real *restrict quaternions,                       \
-    __global real *restrict m, __global real *restrict v, __global real *restrict m_rest,          \
-    __global real *restrict v_rest
+    __global FIRST_MOMENT *restrict m, __global SECOND_MOMENT *restrict v,                         \
+    __global FIRST_MOMENT *restrict m_rest, __global SECOND_MOMENT *restrict v_rest
 #if FORM_ITEM
 #include "item/adam.cl"
 #else
@@ -178,8 +188,8 @@ inline LazyState lazy_state(uint last, uint now, bool keeps, __global const real
 #endif
 
 // Columns begin to end - 1 of the moments of all rows become 0.
-__kernel void adam_clear(uint count, uint begin, uint end, __global real *restrict m,
-                         __global real *restrict v)
+__kernel void adam_clear(uint count, uint begin, uint end, __global FIRST_MOMENT *restrict m,
+                         __global SECOND_MOMENT *restrict v)
 {
     FOR_EACH(i, count) {
         for (uint column = begin; column < end; column++)

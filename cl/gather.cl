@@ -1,10 +1,15 @@
-// Rows by index. rows: real[M, width]; one writer a slot.
+// Rows by index. rows: real[M, width], or bytes in builds with BYTES; one writer a slot.
 #include "real.h"
 #include "each.h"
+#if BYTES
+#define ELEMENT uchar
+#else
+#define ELEMENT real
+#endif
 
 // result[i, :] = rows[indices[i], :]
 __kernel void gather(uint count, uint width, __global const uint *restrict indices,
-                     __global const real *restrict rows, __global real *restrict result)
+                     __global const ELEMENT *restrict rows, __global ELEMENT *restrict result)
 {
     FOR_EACH(i, (ulong)count * width)
         result[i] = rows[(ulong)indices[i / width] * width + i % width];

@@ -12,6 +12,9 @@ typedef double8 real8;
 typedef double16 real16;
 typedef long16 mask16; // what comparing two real16 gives
 #define convert_mask16 convert_long16
+#define convert_real convert_double
+#define convert_real3 convert_double3
+#define convert_real4 convert_double4
 #define convert_real16 convert_double16
 #else
 typedef float real;
@@ -22,6 +25,9 @@ typedef float8 real8;
 typedef float16 real16;
 typedef int16 mask16;
 #define convert_mask16 convert_int16
+#define convert_real convert_float
+#define convert_real3 convert_float3
+#define convert_real4 convert_float4
 #define convert_real16 convert_float16
 #endif
 

@@ -4,33 +4,43 @@
 DEFINE_MOVES(3)
 DEFINE_MOVES(4)
 DEFINE_MOVES(16)
+DEFINE_CODES(3)
+DEFINE_CODES(4)
+DEFINE_CODES(16)
 
-// NAME neighbouring columns at once, by the vector type of S; none is one.
-#define DEFINE_UPDATE(NAME, S, LOAD, STORE)                                                        \
-    inline void step_##NAME(real##S g, real rate, real correction, __global real *parameter,       \
-                            __global real *m, __global real *v)                                    \
+// NAME neighbouring columns at once, by the vector type of S; none is one. `element` is the number
+// of the first of them among all columns of the rows, and IOTA_S counts them.
+#define DEFINE_UPDATE(NAME, S, LOAD, STORE, IOTA_S)                                                \
+    inline void keep_##NAME(real##S first, real##S second, uint element, uint now,                 \
+                            __global FIRST_MOMENT *m, __global SECOND_MOMENT *v)                   \
     {                                                                                              \
-        real##S first = LOAD(0, m), second = LOAD(0, v);                                           \
+        const uint##S noise = noise_of##S(element + IOTA_S, now);                                  \
+        STORE(first_code##S(first, noise), 0, m);                                                  \
+        STORE(second_code##S(second, noise), 0, v);                                                \
+    }                                                                                              \
+    inline void step_##NAME(real##S g, real rate, real correction, __global real *parameter,       \
+                            uint element, uint now, __global FIRST_MOMENT *m,                      \
+                            __global SECOND_MOMENT *v)                                             \
+    {                                                                                              \
+        real##S first = first_of##S(LOAD(0, m)), second = second_of##S(LOAD(0, v));                \
         STORE(stepped##S(LOAD(0, parameter), g, rate, correction, &first, &second), 0, parameter); \
-        STORE(first, 0, m);                                                                        \
-        STORE(second, 0, v);                                                                       \
+        keep_##NAME(first, second, element, now, m, v);                                            \
     }                                                                                              \
     inline void catch_up_##NAME(LazyState state, real distance, __global real *parameter,          \
-                                __global real *m, __global real *v)                                \
+                                uint element, uint now, __global FIRST_MOMENT *m,                  \
+                                __global SECOND_MOMENT *v)                                         \
     {                                                                                              \
-        real##S first = LOAD(0, m), second = LOAD(0, v);                                           \
+        const real##S first = first_of##S(LOAD(0, m)), second = second_of##S(LOAD(0, v));          \
         STORE(decayed_step##S(LOAD(0, parameter), state.epsilon, distance, first, second), 0,      \
               parameter);                                                                          \
-        if (state.keeps) {                                                                         \
-            STORE(first * state.decay1, 0, m);                                                     \
-            STORE(second * state.decay2, 0, v);                                                    \
-        }                                                                                          \
+        if (state.keeps)                                                                           \
+            keep_##NAME(first * state.decay1, second * state.decay2, element, now, m, v);          \
     }
 
-DEFINE_UPDATE(1, , LOAD_ONE, STORE_ONE)
-DEFINE_UPDATE(3, 3, vload3, vstore3)
-DEFINE_UPDATE(4, 4, vload4, vstore4)
-DEFINE_UPDATE(16, 16, vload16, vstore16)
+DEFINE_UPDATE(1, , LOAD_ONE, STORE_ONE, 0u)
+DEFINE_UPDATE(3, 3, vload3, vstore3, (uint3)(0, 1, 2))
+DEFINE_UPDATE(4, 4, vload4, vstore4, (uint4)(0, 1, 2, 3))
+DEFINE_UPDATE(16, 16, vload16, vstore16, convert_uint16(IOTA))
 
 // CALL(WIDTH, LOAD) for all columns, of which the next is `column`.
 #define EACH_WIDTH(CALL)                                                                           \
@@ -42,8 +52,9 @@ DEFINE_UPDATE(16, 16, vload16, vstore16)
     for (; column < SH_COLUMNS; column++)                                                          \
         CALL(1, LOAD_ONE);
 
-inline void prefetch_row(uint row, __global const real *m, __global const real *v,
-                         __global const real *m_rest, __global const real *v_rest)
+inline void prefetch_row(uint row, __global const FIRST_MOMENT *m,
+                         __global const SECOND_MOMENT *v, __global const FIRST_MOMENT *m_rest,
+                         __global const SECOND_MOMENT *v_rest)
 {
     PREFETCH_ROW(m, row, SMALL_COLUMNS);
     PREFETCH_ROW(v, row, SMALL_COLUMNS);
@@ -60,9 +71,13 @@ inline void prefetch_row(uint row, __global const real *m, __global const real *
         prefetch_row(ROW, m, v, m_rest, v_rest);                                                   \
     }
 
+// Of small columns of a row: element, step and moments.
+#define OWN(COLUMN)                                                                                \
+    SMALL_ELEMENT(row, COLUMN), now, m + (ulong)row * SMALL_COLUMNS + COLUMN,                      \
+        v + (ulong)row * SMALL_COLUMNS + COLUMN
 #define STEP(WIDTH, LOAD)                                                                          \
     step_##WIDTH(LOAD(0, g + column), rate_sh_rest, correction, sh_rest + to + column,             \
-                 m_rest + to + column, v_rest + to + column)
+                 REST_ELEMENT(row, column), now, m_rest + to + column, v_rest + to + column)
 __kernel void adam_step(ADAM_STEP_ARGUMENTS)
 {
     if (counts[COUNT_FAILED])
@@ -82,18 +97,16 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
         const uint row = rows[i];
         if (row == NO_ROW)
             continue;
-        __global real *own_m = m + (ulong)row * SMALL_COLUMNS;
-        __global real *own_v = v + (ulong)row * SMALL_COLUMNS;
         step_3(vload3(i, grad_positions), rate_positions, correction, positions + 3ul * row,
-               own_m + SMALL_POSITION, own_v + SMALL_POSITION);
+               OWN(SMALL_POSITION));
         step_3(share * vload3(i, grad_colours), rate_sh_constant, correction,
-               sh_constant + 3ul * row, own_m + SMALL_CONSTANT, own_v + SMALL_CONSTANT);
+               sh_constant + 3ul * row, OWN(SMALL_CONSTANT));
         step_1(grad_opacity_logits[i], rate_opacity_logits, correction, opacity_logits + row,
-               own_m + SMALL_OPACITY, own_v + SMALL_OPACITY);
-        step_3(vload3(i, grad_log_scales), rate_log_scales, correction,
-               log_scales + 3ul * row, own_m + SMALL_SCALE, own_v + SMALL_SCALE);
-        step_4(vload4(i, grad_quaternions), rate_quaternions, correction,
-               quaternions + 4ul * row, own_m + SMALL_TURN, own_v + SMALL_TURN);
+               OWN(SMALL_OPACITY));
+        step_3(vload3(i, grad_log_scales), rate_log_scales, correction, log_scales + 3ul * row,
+               OWN(SMALL_SCALE));
+        step_4(vload4(i, grad_quaternions), rate_quaternions, correction, quaternions + 4ul * row,
+               OWN(SMALL_TURN));
 #if DEGREE > 0
         real g[SH_COLUMNS];
         if (rank_one) {
@@ -111,25 +124,22 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
     }
 }
 
-inline void catch_up_small(uint row, LazyState state, __global const real *c,
+inline void catch_up_small(uint row, uint now, LazyState state, __global const real *c,
                            __global real *positions, __global real *sh_constant,
                            __global real *opacity_logits, __global real *log_scales,
-                           __global real *quaternions, __global real *m, __global real *v)
+                           __global real *quaternions, __global FIRST_MOMENT *m,
+                           __global SECOND_MOMENT *v)
 {
-    m += (ulong)row * SMALL_COLUMNS;
-    v += (ulong)row * SMALL_COLUMNS;
-    catch_up_3(state, c[LAZY_POSITIONS], positions + 3ul * row, m + SMALL_POSITION,
-               v + SMALL_POSITION);
-    catch_up_3(state, c[LAZY_SH_CONSTANT], sh_constant + 3ul * row, m + SMALL_CONSTANT,
-               v + SMALL_CONSTANT);
-    catch_up_1(state, c[LAZY_OPACITY], opacity_logits + row, m + SMALL_OPACITY, v + SMALL_OPACITY);
-    catch_up_3(state, c[LAZY_SCALES], log_scales + 3ul * row, m + SMALL_SCALE, v + SMALL_SCALE);
-    catch_up_4(state, c[LAZY_TURNS], quaternions + 4ul * row, m + SMALL_TURN, v + SMALL_TURN);
+    catch_up_3(state, c[LAZY_POSITIONS], positions + 3ul * row, OWN(SMALL_POSITION));
+    catch_up_3(state, c[LAZY_SH_CONSTANT], sh_constant + 3ul * row, OWN(SMALL_CONSTANT));
+    catch_up_1(state, c[LAZY_OPACITY], opacity_logits + row, OWN(SMALL_OPACITY));
+    catch_up_3(state, c[LAZY_SCALES], log_scales + 3ul * row, OWN(SMALL_SCALE));
+    catch_up_4(state, c[LAZY_TURNS], quaternions + 4ul * row, OWN(SMALL_TURN));
 }
 
 #define CATCH_UP(WIDTH, LOAD)                                                                      \
-    catch_up_##WIDTH(state, c[LAZY_SH_REST], sh_rest + to + column, m_rest + to + column,          \
-                     v_rest + to + column)
+    catch_up_##WIDTH(state, c[LAZY_SH_REST], sh_rest + to + column, REST_ELEMENT(row, column),     \
+                     now, m_rest + to + column, v_rest + to + column)
 #define LISTED 256 // rows that are tested before any of them moves, so that it can be asked for
 __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
 {
@@ -165,8 +175,8 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
             PREFETCH_ALL(due[min(i + AHEAD, listed - 1)]);
             const LazyState state = lazy_state(last, now, keeps, coefficients);
             __global const real *c = coefficients + (last % CATCH_UP_EVERY) * LAZY_TERMS;
-            catch_up_small(row, state, c, positions, sh_constant, opacity_logits, log_scales,
-                        quaternions, m, v);
+            catch_up_small(row, now, state, c, positions, sh_constant, opacity_logits, log_scales,
+                           quaternions, m, v);
 #if DEGREE > 0
             const ulong to = (ulong)row * SH_STRIDE;
             EACH_WIDTH(CATCH_UP)

@@ -12,7 +12,7 @@ from clsplat.device.array import Array, ArraySpec, Reading
 from clsplat.device.device import Device, Handle
 from clsplat.device.find import choose_device, choose_handle, list_devices
 from clsplat.device.graph import Graph
-from clsplat.device.kernel import Forms, Kernel, Only, each, groups, items
+from clsplat.device.kernel import Either, Forms, Kernel, Only, each, groups, items
 
-__all__ = ["Array", "ArraySpec", "Device", "Forms", "Graph", "Handle", "Kernel", "Only", "Reading",
-           "choose_device", "choose_handle", "each", "groups", "items", "list_devices"]
+__all__ = ["Array", "ArraySpec", "Device", "Either", "Forms", "Graph", "Handle", "Kernel", "Only",
+           "Reading", "choose_device", "choose_handle", "each", "groups", "items", "list_devices"]

@@ -67,6 +67,11 @@ class Array:
             raise ShapeError(f"cannot reshape {self.shape} to {shape}")
         return Array(self.device, self.block, shape, self.dtype)
 
+    def as_bytes(self) -> Array:
+        """The same memory as uint8, of which the last axis counts more."""
+        *axes, last = self.shape
+        return Array(self.device, self.block, (*axes, last * self.dtype.itemsize), np.uint8)
+
     def copied(self) -> Array:
         """A persistent Array with the same values."""
         copy = self.device.allocate(self.shape, self.dtype)

@@ -9,7 +9,7 @@ one of `DEVICE_SIZES`; the kernels use the same names for the last two.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -26,7 +26,8 @@ Argument = str | tuple[Any, ...]  # see `Kernel`
 Defines = tuple[tuple[str, Any], ...]  # (name, value) of the constants of a build
 Factors = list[tuple[Any, Any]]  # of a size: quotients of two names or numbers
 SCALARS = {
-    "int": np.int32, "uint": np.uint32, "ulong": np.uint64, "float": np.float32, "uchar": np.uint8}
+    "int": np.int32, "uint": np.uint32, "ulong": np.uint64, "float": np.float32,
+    "ushort": np.uint16, "uchar": np.uint8}
 DEVICE_SIZES = {  # name -> attribute of Device
     "TILE": "tile", "SCAN_GROUP": "scan_group", "WAVE": "wave", "BUCKET": "bucket",
     "ADJOINT_GROUP": "adjoint_group"}
@@ -43,6 +44,25 @@ class Only(NamedTuple):
 
     define: str
     argument: str | tuple[Any, ...]
+
+
+class Either(NamedTuple):
+    """An argument that has another type in builds in which a constant is not 0.
+
+    Attributes
+    ----------
+    define : the name of the constant.
+    argument : as for `Kernel`, where it is not 0.
+    otherwise : where it is.
+    """
+
+    define: str
+    argument: str | tuple[Any, ...]
+    otherwise: str | tuple[Any, ...]
+
+    def of(self, choices: Collection[str]) -> Argument:
+        """The argument of builds in which these constants are not 0."""
+        return self.argument if self.define in choices else self.otherwise
 
 
 class Forms(NamedTuple):
@@ -77,7 +97,7 @@ class Launch:
     kind: str
     units: str
     group: str = ""
-    arguments: dict[str, Argument | Only] = field(default_factory=dict)
+    arguments: dict[str, Argument | Only | Either] = field(default_factory=dict)
 
 
 def each(elements: str) -> Launch:
@@ -85,12 +105,12 @@ def each(elements: str) -> Launch:
     return Launch("each", elements)
 
 
-def items(units: str, group: str = "1", /, **arguments: Argument | Only) -> Launch:
+def items(units: str, group: str = "1", /, **arguments: Argument | Only | Either) -> Launch:
     """Launch `units` work-items in groups of `group`; for the arguments see `Launch`."""
     return Launch("items", units, group, arguments)
 
 
-def groups(units: str, group: str, /, **arguments: Argument | Only) -> Launch:
+def groups(units: str, group: str, /, **arguments: Argument | Only | Either) -> Launch:
     """Launch `units` groups of `group` work-items; for the arguments see `Launch`."""
     return Launch("groups", units, group, arguments)
 
@@ -103,24 +123,28 @@ class Kernel:
     launch : of both forms, or `Forms` with one for each; None: that form has no such kernel.
     arguments : in the order of the OpenCL signature; a string is a scalar of that type, a tuple an
         array: its type, then its shape, where equal letters must agree; `Only` for one that some
-        builds lack. `real` is float, or double on a device opened for double precision.
+        builds lack, `Either` for one that has two types. `real` is float, or double on a device
+        opened for double precision.
 
     Attributes
     ----------
     declared : the kernels of each file whose modules were imported.
     forms : the contracts of a build that has all arguments.
     only : name of an argument that some builds lack -> the constant that it depends on.
+    choices : the constants on which arguments or their types depend.
     """
 
     declared: ClassVar[dict[str, list[Kernel]]] = {}
 
     def __init__(self, file: str, function: str, launch: Launch | Forms,
-                 **arguments: Argument | Only) -> None:
+                 **arguments: Argument | Only | Either) -> None:
         self.file, self.function = file, function
         self.launches = launch if isinstance(launch, Forms) else Forms(launch, launch)
         own = [argument for form in self.launches if form for argument in form.arguments.items()]
         self.only = {name: argument.define for name, argument in (*arguments.items(), *own)
                      if isinstance(argument, Only)}
+        self.choices = {argument.define for _, argument in (*arguments.items(), *own)
+                        if isinstance(argument, (Only, Either))}
         self.arguments = arguments
         self._contracts: dict[tuple[str, frozenset[str]], Contract | None] = {}
         self.forms = Forms(*(self._contract(form, frozenset(self.only.values()))
@@ -134,7 +158,7 @@ class Kernel:
     def contract(self, device: Device, defines: Defines) -> Contract:
         """What the device's form has in a build with these constants."""
         contract = self._contract(device.form, frozenset(
-            name for name, value in defines if value and name in self.only.values()))
+            name for name, value in defines if value and name in self.choices))
         assert contract is not None, f"{self} has no {device.form} form"
         return contract
 
@@ -182,7 +206,8 @@ class Contract:
     def __init__(self, kernel: Kernel, launch: Launch, choices: frozenset[str]) -> None:
         self.kernel, self.launch = kernel, launch
         self.arguments: dict[str, Argument] = {
-            name: argument.argument if isinstance(argument, Only) else argument
+            name: argument.argument if isinstance(argument, Only) else
+            argument.of(choices) if isinstance(argument, Either) else argument
             for name, argument in {**kernel.arguments, **launch.arguments}.items()
             if not isinstance(argument, Only) or argument.define in choices}
         # (name, dtype or None for the device's real, shape or None for a scalar)

@@ -25,8 +25,10 @@ from clsplat.constants import (
     SH_C0,
     SMALL_COLUMNS,
 )
-from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each
+from clsplat.device import Array, ArraySpec, Device, Either, Forms, Kernel, each
+from clsplat.device.kernel import Argument
 from clsplat.gaussians import LEARNED
+from clsplat.optimise.moments import AS_REALS, FIRST_CODED, SECOND_CODED
 from clsplat.optimise.options import OptimiseOptions
 from clsplat.primitives.gather import gather
 from clsplat.rendering.blend import Defines
@@ -42,12 +44,19 @@ AVERAGED_PIXELS, AVERAGED_DECAY, AVERAGED_FACTOR = 0.1, 0.1, 3.0
 SMALL = tuple(field for field in LEARNED if field.name != "sh_rest")  # fields of the small columns
 _COLUMNS = {field.name: slice(end - field.width(0), end) for field, end in zip(
     SMALL, accumulate(field.width(0) for field in SMALL))}
-_SMALL_MOMENTS = dict(m=("real", "N", SMALL_COLUMNS), v=("real", "N", SMALL_COLUMNS))
-_ROWS = dict(
+
+
+def _moments(m: str, v: str, *shape: str | int) -> dict[str, Either]:
+    """Moments by name, whose types depend on the build (cl/include/moments.h)."""
+    return {m: Either("CODED", ("ushort", *shape), ("real", *shape)),
+            v: Either("CODED", ("uchar", *shape), ("real", *shape))}
+
+
+_SMALL_MOMENTS = _moments("m", "v", "N", SMALL_COLUMNS)
+_ROWS: dict[str, Argument | Either] = dict(
     positions=("real", "N", 3), sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3),
     opacity_logits=("real", "N"), log_scales=("real", "N", 3), quaternions=("real", "N", 4),
-    **_SMALL_MOMENTS, m_rest=("real", "N", "S"), v_rest=("real", "N", "S"),
-    last_step=("uint", "N"))
+    **_SMALL_MOMENTS, **_moments("m_rest", "v_rest", "N", "S"), last_step=("uint", "N"))
 _COUNTS = dict(counts=("uint", FRAME_COUNTS))
 _COEFFICIENTS = dict(coefficients=("real", CATCH_UP_EVERY, LAZY_TERMS))
 STEP = Kernel(
@@ -100,6 +109,8 @@ class DeviceAdam:
     """
 
     RECORDS = True  # whether a step can be recorded
+    STORED = AS_REALS, AS_REALS  # m and v
+    BUILD: Defines = ()
     NUMBERS = ("now", "before", "first", "correction",
                *(f"rate_{field.name}" for field in LEARNED))
 
@@ -112,13 +123,14 @@ class DeviceAdam:
         self.steps, self.is_current = 0, True
         self._degree = math.isqrt(self.harmonics + 1) - 1
 
-    @staticmethod
-    def arrays(rows: Mapping[str, Array | ArraySpec]) -> tuple[dict[str, ArraySpec], ...]:
+    @classmethod
+    def arrays(cls, rows: Mapping[str, Array | ArraySpec]) -> tuple[dict[str, ArraySpec], ...]:
         """The arrays of m, of v and others, by name, for parameters of these shapes."""
         count, harmonics, _ = rows["sh_rest"].shape
-        specs = {"small": ArraySpec((count, SMALL_COLUMNS)),
-                 "rest": ArraySpec((count, 3 * harmonics))}
-        return specs, specs, {"last_step": ArraySpec((count,), np.uint32),
+        m, v = ({"small": ArraySpec((count, SMALL_COLUMNS), dtype),
+                 "rest": ArraySpec((count, 3 * harmonics), dtype)}
+                for dtype, _, _ in cls.STORED)
+        return m, v, {"last_step": ArraySpec((count,), np.uint32),
                               "coefficients": ArraySpec((CATCH_UP_EVERY, LAZY_TERMS)),
                               "no_gradient": ArraySpec((1, 1, 3)),
                               "none_frozen": ArraySpec((1,), np.uint32),
@@ -209,7 +221,7 @@ class DeviceAdam:
             **self._state_of(rows))
 
     def _defines(self, degree: int) -> Defines:
-        return adam_defines(self.harmonics, degree)
+        return adam_defines(self.harmonics, degree) + self.BUILD
 
     def _state_of(self, rows: Mapping[str, Array]) -> dict[str, Array]:
         """Rows and moments by the names that they have in the kernels."""
@@ -227,7 +239,7 @@ class DeviceAdam:
         """
         for moments in (self._m, self._v):
             for name, old in moments.items():
-                new = self.device.zeros((len(source), *old.shape[1:]))
+                new = self.device.zeros((len(source), *old.shape[1:]), old.dtype)
                 gather(self.device, old, source.narrow(kept), new)
                 moments[name] = new
         self._start_lag(len(source))
@@ -246,8 +258,9 @@ class DeviceAdam:
 
     def download(self) -> tuple[HostArrays, HostArrays]:
         """m and v in host memory, by field, each row after its last step."""
-        small = [moments["small"].download() for moments in (self._m, self._v)]
-        rest = [moments["rest"].download() for moments in (self._m, self._v)]
+        small, rest = ([stored.values(moments[name].download())
+                        for stored, moments in zip(self.STORED, (self._m, self._v))]
+                       for name in ("small", "rest"))
         count = len(small[0])
         return tuple({  # type: ignore[return-value]  # two of them
             field.name: others.reshape(count, self.harmonics, 3) if field.name == "sh_rest" else
@@ -261,12 +274,12 @@ class DeviceAdam:
         Where their number is another, the parameters must change to it, too.
         """
         count = len(m["positions"])
-        for own, source in zip((self._m, self._v), (m, v)):
+        for own, source, stored in zip((self._m, self._v), (m, v), self.STORED):
             own.clear()  # so that new moments take the memory of the old ones
-            own["small"] = self.device.upload(np.column_stack([
-                source[field.name].reshape(count, -1) for field in SMALL]))
+            own["small"] = self.device.upload(stored.codes(np.column_stack([
+                source[field.name].reshape(count, -1) for field in SMALL])))
             own["rest"] = self.device.upload(
-                source["sh_rest"].reshape(count, 3 * self.harmonics))
+                stored.codes(source["sh_rest"].reshape(count, 3 * self.harmonics)))
         self._start_lag(count)
 
     def lag(self) -> dict[str, NDArray[Any]]:
@@ -280,3 +293,11 @@ class DeviceAdam:
         for name in ("last_step", "coefficients"):
             self._others[name].write(arrays[name])
         self.steps, self.is_current = step, bool(arrays["is_current"][0])
+
+
+class CodedAdam(DeviceAdam):
+    """Adam with its moments on the device, each in three bytes in place of eight
+    (cl/include/moments.h)."""
+
+    STORED = FIRST_CODED, SECOND_CODED
+    BUILD: Defines = (("CODED", 1),)

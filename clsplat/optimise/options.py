@@ -20,9 +20,10 @@ class OptimiseOptions:
     batch: int = option(1, "Optimisation", "photos in each step; their mean gradient moves the "
                         "gaussians once, and a step takes as many times longer", minimum=1,
                         most=1024, measured=True)
-    engine: str = option("auto", "Optimisation", "where Adam's moments are kept: device, or numpy "
-                         "in host memory; auto: on the device where they fit",
-                         choices=("auto", "device", "numpy"), flag=False)
+    engine: str = option("auto", "Optimisation", "where Adam's moments are kept: device, coded on "
+                         "it in three bytes in place of eight, or numpy in host memory; auto: the "
+                         "first of these that fits",
+                         choices=("auto", "device", "coded", "numpy"), flag=False)
     position_noise: float = option(
         0.0, "Optimisation", "random steps of nearly transparent gaussians, as a multiple of the "
         "learning rate of the positions", minimum=0.0, flag=False, measured=True)

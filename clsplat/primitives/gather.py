@@ -2,10 +2,13 @@
 
 import math
 
-from clsplat.device import Array, Device, Kernel, each
+from clsplat.device import Array, Device, Either, Kernel, each
+from clsplat.device.kernel import Defines
 
 GATHER = Kernel("gather.cl", "gather", each("count width"), count="uint", width="uint",
-                indices=("uint", "N"), rows=("real", "M", "W"), result=("real", "N", "W"))
+                indices=("uint", "N"),
+                rows=Either("BYTES", ("uchar", "M", "W"), ("real", "M", "W")),
+                result=Either("BYTES", ("uchar", "N", "W"), ("real", "N", "W")))
 
 
 def gather(device: Device, rows: Array, indices: Array, result: Array | None = None) -> Array:
@@ -13,16 +16,19 @@ def gather(device: Device, rows: Array, indices: Array, result: Array | None = N
 
     Parameters
     ----------
-    rows : real[M, ...]
+    rows : real[M, ...], or of another type, as bytes.
     indices : uint[N]
-    result : real[at least N, ...], to write into; None makes a new array.
+    result : [at least N, ...] of the same type, to write into; None makes a new array.
     """
-    count = len(indices)
+    count, width = len(indices), math.prod(rows.shape[1:])
     if result is None:
-        result = device.empty((count, *rows.shape[1:]))
-    width = math.prod(rows.shape[1:])
+        result = device.empty((count, *rows.shape[1:]), rows.dtype)
     if width:
-        device.launch(GATHER, count=count, width=width, indices=indices,
-                      rows=rows.reshaped(len(rows), width),
-                      result=result.narrow(count).reshaped(count, width))
+        source = rows.reshaped(len(rows), width)
+        target = result.narrow(count).reshaped(count, width)
+        defines: Defines = ()
+        if rows.dtype != device.real:
+            source, target, defines = source.as_bytes(), target.as_bytes(), (("BYTES", 1),)
+        device.launch(GATHER, defines, count=count, width=source.shape[1], indices=indices,
+                      rows=source, result=target)
     return result

@@ -9,7 +9,7 @@ import numpy as np
 from clsplat.densify.grow import Growth
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
-from clsplat.optimise.adam import DeviceAdam
+from clsplat.optimise.adam import CodedAdam, DeviceAdam
 from clsplat.optimise.numpy_adam import NumpyAdam
 from clsplat.primitives.gather import gather
 
@@ -17,13 +17,14 @@ from clsplat.primitives.gather import gather
 # and photos a quarter
 DEVICE_SHARE = 1 / 3
 Adam = DeviceAdam | NumpyAdam
-ENGINES: dict[str, type[Adam]] = {"device": DeviceAdam, "numpy": NumpyAdam}
+ENGINES: dict[str, type[Adam]] = {
+    "device": DeviceAdam, "coded": CodedAdam, "numpy": NumpyAdam}
 
 
 class Model:
     """Rows of gaussians on the device, and an Adam engine whose moments follow them.
 
-    The moments are kept by `engine` "device" or "numpy".
+    The moments are kept by `engine` "device", "coded" or "numpy".
     `layout` is another object after each change of the arrays or of the number of gaussians.
     """
 
@@ -93,10 +94,10 @@ class Model:
         self.adam.reset("opacity_logits")
 
 
-def model_bytes(device: Device, sh_degree: int, count: int) -> int:
-    """Bytes of parameters and moments on a device."""
+def model_bytes(device: Device, sh_degree: int, count: int, engine: str) -> int:
+    """Bytes of parameters and moments on a device, with an engine of ENGINES."""
     rows = Model.arrays([field.name for field in LEARNED], sh_degree, count)
-    return sum(spec.nbytes(device.real) for specs in (rows, *DeviceAdam.arrays(rows))
+    return sum(spec.nbytes(device.real) for specs in (rows, *ENGINES[engine].arrays(rows))
                for spec in specs.values())
 
 

@@ -3,7 +3,7 @@ its table. Lines of kernels are short."""
 
 import importlib
 
-from clsplat.device import Kernel
+from clsplat.device import Either, Kernel
 from tests.test_layout import ROOT, families, homes
 
 
@@ -19,13 +19,21 @@ def table():
                           for name, a in form.arguments.items()
                           if isinstance(a, tuple)}
                 shown = ", ".join(f"{name} {kind}[{', '.join(map(str, shape))}]"
-                                  + (f" ({kernel.only[name]})" if name in kernel.only else "")
-                                  for name, (kind, *shape) in arrays.items())
+                                  + note(kernel, name) for name, (kind, *shape) in arrays.items())
                 item, group = kernel.launches
                 forms = shape_of(item), "the same" if item == group else shape_of(group)
                 lines.append(f"| {family.stem} | {kernel.function} | {shown} | "
                              f"{' | '.join(forms)} |")
     return "\n".join(lines) + "\n"
+
+
+def note(kernel, name):
+    """In which builds an argument is there, or has another type."""
+    if name in kernel.only:
+        return f" ({kernel.only[name]})"
+    argument = kernel.arguments.get(name)
+    return (f" ({argument.argument[0]} with {argument.define})"
+            if isinstance(argument, Either) else "")
 
 
 def shape_of(launch):

@@ -18,3 +18,35 @@ def adam(parameters, grads, first, second, step, rate, rows=None,
     second_hat = second[rows] / (1 - betas[1]**step)
     parameters[rows] -= rate * first_hat / (np.sqrt(second_hat) + epsilon)
     return parameters, first, second
+
+
+def noise_of(element, now):
+    """The random bits uint32 of elements uint32 in a step (cl/include/moments.h)."""
+    with np.errstate(over="ignore"):
+        h = element * np.uint32(0x9e3779b1) + np.uint32(now) * np.uint32(0x85ebca77)
+        h = (h ^ (h >> np.uint32(15))) * np.uint32(0x2c1b3c6d)
+        h = (h ^ (h >> np.uint32(12))) * np.uint32(0x297a2d39)
+    return h ^ (h >> np.uint32(15))
+
+
+def coded_moments(moments, grads, step, names):
+    """(m, v) by field after a step in which all rows had gradients, as CodedAdam rounds them.
+
+    moments: (m, v) before; names: the fields in the order of their columns, sh_rest among them."""
+    rounded = {}, {}
+    small = [name for name in names if name != "sh_rest"]
+    widths = {name: int(np.prod(grads[name].shape[1:], initial=1)) for name in names}
+    first_column = dict(zip((*small, "sh_rest"), np.cumsum(
+        [0, *(widths[name] for name in small)])))
+    for name in names:
+        count, width = len(grads[name]), widths[name]
+        element = (np.arange(count, dtype=np.uint32)[:, None] * np.uint32(sum(widths.values()))
+                   + np.arange(width, dtype=np.uint32) + np.uint32(first_column[name]))
+        noise = noise_of(element, step).reshape(grads[name].shape)
+        m = moments[0][name] + 0.1 * (grads[name] - moments[0][name])
+        v = moments[1][name] + 0.001 * (grads[name]**2 - moments[1][name])
+        m, v = (values.astype(np.float32).view(np.uint32).astype(np.uint64) for values in (m, v))
+        rounded[0][name] = ((m + (noise >> 16) >> 16 << 16).astype(np.uint32)).view(np.float32)
+        code = (v + (noise & ((1 << 22) - 1))) >> 22
+        rounded[1][name] = ((code << 22).astype(np.uint32)).view(np.float32)
+    return rounded

@@ -216,8 +216,11 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatc
 
     assert engine(3.02 * needed).options.engine == "device"
     result = engine(2.98 * needed)
-    assert result.options.engine == "numpy" == result.values["engine"]
-    assert "take up to 45 MiB of the device's 133" in result.reasons["engine"]
+    assert result.options.engine == "coded" == result.values["engine"]
+    assert "take up to 45 MiB, coded 26, of the device's 133" in result.reasons["engine"]
+    coded = (4 + 3) / 12 * needed
+    assert engine(3.05 * coded).options.engine == "coded"
+    assert engine(2.98 * coded).options.engine == "numpy"
     assert engine(2.98 * needed, sh_degree=2).options.engine == "device"
     assert engine(1.0, engine="device").reasons["engine"] == "device: requested"
     large = tmp_path / "large.ply"  # where training begins at a file, by the gaussians of that
@@ -225,7 +228,7 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatc
     of_file = 3 * 59 * 90_000 * 4
     started = {"schedule": "mcmc", "max_gaussians": 90_000, "init": str(large)}
     assert engine(3.02 * of_file, **started).options.engine == "device"
-    assert engine(2.98 * of_file, **started).options.engine == "numpy"
+    assert engine(2.98 * of_file, **started).options.engine == "coded"
     assert find_decisions(survey_of(city, options)).options.engine == "auto"
     # dash, which looks at every photo when training begins, does not for this
     monkeypatch.setattr(module, "decoded", None)

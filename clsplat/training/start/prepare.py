@@ -192,16 +192,20 @@ def is_stage(options: RunOptions, parts: Iterable[Part]) -> bool:
 
 
 def _engine(facts: SceneFacts, options: ScheduledOptions, device: Device) -> Decision:
-    """The Adam engine: on the device if the largest model fits."""
+    """The Adam engine: on the device if the largest model fits, with coded moments if that must be.
+    """
     if options.engine != AUTO:
         return requested(options.engine)
     unseen = replace(facts, photos=lambda: iter(()))  # reading them would take long
     count = largest(simulate(schedule_of(options.schedule)(options, unseen)))
-    needed = model_bytes(device, options.sh_degree, count)
     available = device.handle.global_mem_size
-    value = "device" if needed < DEVICE_SHARE * available else "numpy"
-    return Decision(value, f"{value}: parameters and moments take up to {needed / 2**20:,.0f} MiB "
-                    f"of the device's {available / 2**20:,.0f}")
+    needed = {engine: model_bytes(device, options.sh_degree, count, engine)
+              for engine in ("device", "coded")}
+    value = next((engine for engine, size in needed.items() if size < DEVICE_SHARE * available),
+                 "numpy")
+    return Decision(value, f"{value}: parameters and moments take up to "
+                    f"{needed['device'] / 2**20:,.0f} MiB, coded {needed['coded'] / 2**20:,.0f}, of "
+                    f"the device's {available / 2**20:,.0f}")
 
 
 def find_warnings(scene: Scene, thumbnails: Thumbnails, count: int) -> Iterator[str]:
