@@ -204,8 +204,8 @@ def _engine(facts: SceneFacts, options: ScheduledOptions, device: Device) -> Dec
     value = next((engine for engine, size in needed.items() if size < DEVICE_SHARE * available),
                  "numpy")
     return Decision(value, f"{value}: parameters and moments take up to "
-                    f"{needed['device'] / 2**20:,.0f} MiB, coded {needed['coded'] / 2**20:,.0f}, of "
-                    f"the device's {available / 2**20:,.0f}")
+                    f"{needed['device'] / 2**20:,.0f} MiB, coded {needed['coded'] / 2**20:,.0f}, "
+                    f"of the device's {available / 2**20:,.0f}")
 
 
 def find_warnings(scene: Scene, thumbnails: Thumbnails, count: int) -> Iterator[str]:
