@@ -16,6 +16,7 @@ BLOCK_WIDTH = 20.0  # distance between the centre lines of neighbouring streets
 STREET = 2.5  # half the width of the road
 PAVEMENT = 0.9  # width of the pavement on each side
 KINDS = ("building", "plant", "car", "cabin", "trunk", "part")  # of boxes, by texture
+UNIT_METRES = 4.0  # of a world unit
 TALLEST_BUILDING = 12.0  # world units
 INNER = BLOCK_WIDTH / 2 - STREET - PAVEMENT  # half the width of a block inside its pavement
 
@@ -206,9 +207,7 @@ class _Builder:
             across = (2 * side[1] - 1) * (INNER + 0.6 * PAVEMENT)
             place = np.array([across, (side[2] - 1) * 0.9 * INNER])
             place = centre + (place if side[0] else place[::-1])
-            height = self.rng.uniform(1.1, 1.3)
-            self.box("part", place, np.full(2, 0.035), height)
-            self.spheres.append([*place, height, 0.1])
+            self.box("part", place, np.full(2, 0.035), self.rng.uniform(1.1, 1.3))
         for _ in range(14):
             place = centre + self.rng.uniform(-0.95, 0.95, 2) * INNER
             self.box("part", place, self.rng.uniform(0.06, 0.25, 2), self.rng.uniform(0.1, 0.3))
@@ -278,7 +277,7 @@ def geometry_json(city: City, gains: NDArray[np.float64] | None = None) -> str:
     """
     table = {
         "about": "ground truth: ground plane z = 0, boxes standing on it, spheres; z is up",
-        "unit_metres": 4.0,
+        "unit_metres": UNIT_METRES,
         "seed": city.seed,
         "blocks": list(city.blocks),
         "ground_extent": [(-city.extent).tolist(), city.extent.tolist()],

@@ -115,12 +115,13 @@ INLINE real3 ground_colour(const City *city, real3 point)
     const real slab = hash((int)floor(x / (real)0.5), (int)floor(y / (real)0.5), 0);
     const real joints = fmax(stripes(x, 0.5, 0.07), stripes(y, 0.5, 0.07));
     yard *= ((real)0.88 + (real)0.24 * slab + (real)0.35 * grains) * (1 - (real)0.35 * joints);
+    yard = MIX(yard, lawn, below(0.56, noise(city->lattice, point + 20, 4.0)));
     pavement *= ((real)0.9 + (real)0.2 * slab + (real)0.3 * grains) * (1 - (real)0.3 * joints);
     pavement = MIX(pavement, (real3)(0.80, 0.79, 0.76), below(near, STREET + (real)0.12));
     const real mended = below(0.68, noise(city->lattice, point + 40, 1.3));
     const real off = fabs(noise(city->lattice, point + 80, 0.9) - (real)0.5);
     const real crack = below(off * (real)0.9, 0.012);
-    asphalt *= (1 + (real)0.45 * grains) * (1 - (real)0.3 * mended) * (1 - (real)0.3 * crack);
+    asphalt *= (1 + (real)0.7 * grains) * (1 - (real)0.3 * mended) * (1 - (real)0.3 * crack);
 #endif
     const real place_x = x / BLOCK_WIDTH + city->blocks_x / (real)2;
     const real place_y = y / BLOCK_WIDTH + city->blocks_y / (real)2;
@@ -153,7 +154,7 @@ INLINE real3 roof_colour(const City *city, uint box, real3 point, real edge)
         hash((int)floor(point.x / (real)0.34), (int)floor(point.y / (real)0.26), (int)box);
     const real seam = fmax(stripes(point.x, 0.34, 0.1), stripes(point.y, 0.26, 0.12));
     const real moss = below(0.66, noise(city->lattice, point + 60, 0.8));
-    roof *= ((real)0.84 + (real)0.32 * tile + (real)0.5 * grain(city->lattice, point)) *
+    roof *= ((real)0.84 + (real)0.32 * tile + (real)0.7 * grain(city->lattice, point)) *
             (1 - (real)0.35 * seam);
     roof = MIX(roof, (real3)(0.33, 0.34, 0.28), (real)0.6 * moss);
 #endif

@@ -164,6 +164,7 @@ class Texture:
             slab = _hash(np.floor(x / 0.5), np.floor(y / 0.5), np.zeros(len(x)))
             joints = np.maximum(self._stripes(x, 0.5, 0.07), self._stripes(y, 0.5, 0.07))
             yard = yard * ((0.88 + 0.24 * slab + 0.35 * grain) * (1 - 0.35 * joints))[:, None]
+            yard = _mix(yard, lawn, self._below(0.56, self.noise(points + 20, 4.0)))
         place = np.stack([x, y]) / BLOCK_WIDTH + np.array(city.blocks)[:, None] / 2
         block = np.clip(np.floor(place).astype(int), 0, np.array(city.blocks)[:, None] - 1)
         path = np.hypot(*((place - block - 0.5) * BLOCK_WIDTH))
@@ -183,7 +184,7 @@ class Texture:
         if self.detail:
             mended = self._below(0.68, self.noise(points + 40, 1.3))
             crack = self._below(np.abs(self.noise(points + 80, 0.9) - 0.5) * 0.9, 0.012)
-            asphalt = asphalt * ((1 + 0.45 * grain) * (1 - 0.3 * mended) * (1 - 0.3 * crack)
+            asphalt = asphalt * ((1 + 0.7 * grain) * (1 - 0.3 * mended) * (1 - 0.3 * crack)
                                  )[:, None]
         road = self._below(near, STREET) * self._below(built, STREET)
         colour = _mix(colour, asphalt, road)
@@ -212,7 +213,7 @@ class Texture:
             seam = np.maximum(self._stripes(points[:, 0], 0.34, 0.1),
                               self._stripes(points[:, 1], 0.26, 0.12))
             moss = self._below(0.66, self.noise(points + 60, 0.8))
-            roof = roof * ((0.84 + 0.32 * tile + 0.5 * fine) * (1 - 0.35 * seam))[:, None]
+            roof = roof * ((0.84 + 0.32 * tile + 0.7 * fine) * (1 - 0.35 * seam))[:, None]
             roof = _mix(roof, [0.33, 0.34, 0.28], 0.6 * moss)
         roof = _mix(roof, np.array([0.80, 0.79, 0.76]), self._below(edge, 0.3))
 
