@@ -148,7 +148,7 @@ def _lines(name: str) -> Iterator[str]:
     yield f'#line 1 "{shown}"'
     for number, line in enumerate((folder / name).read_text(encoding="utf-8").splitlines(), 1):
         if included := INCLUDE.match(line):
-            beside = Path(name).with_name(included[1])
+            beside = Path(name).parent / included[1]
             own = beside.is_absolute() and beside.exists()
             yield from _lines(str(beside) if own else included[1])
             yield f'#line {number + 1} "{shown}"'

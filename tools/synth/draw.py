@@ -22,8 +22,8 @@ CAMERA_REALS = 19  # of a packed camera: position, rotation, focal length, centr
 PAINT_REALS = 16  # of the colours and measures of a box
 MOST_OBSERVATIONS = 30  # of a point
 # the standard deviation of lightness at which points begin to be detected, and up to which more are
-CONTRAST_LOW, CONTRAST_RANGE = 0.015, 0.15
-PATCH_WIDTH, PATCH_GAPS = 4.0, 0.3  # cells of the noise field of gaps, world units; its threshold
+CONTRAST_LOW, CONTRAST_RANGE = 0.01, 0.12
+PATCH_WIDTH, PATCH_GAPS = 4.0, 0.25  # cells of the noise field of gaps, world units; its threshold
 
 SOURCE = str(Path(__file__).with_name("raycast.cl"))
 CITY = {

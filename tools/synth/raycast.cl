@@ -233,7 +233,7 @@ __kernel void observe(uint count, uint view_count, uint first, int seed, CITY_AR
         const real patch = noise(city.lattice, point + 120, PATCH_WIDTH) - (real)PATCH_GAPS;
         const real contrast = contrast_at(&city, primitive, point, normal);
         const real chance = fmin((contrast - (real)CONTRAST_LOW) / (real)CONTRAST_RANGE, (real)1) *
-                            clamp(patch * 6, (real)0, (real)1);
+                            clamp(patch * 10, (real)0, (real)1);
         if (hash(number, seed, -1) >= chance)
             continue;
         uint seen = 0;

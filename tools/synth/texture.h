@@ -117,7 +117,7 @@ INLINE real3 ground_colour(const City *city, real3 point)
     yard *= ((real)0.88 + (real)0.24 * slab + (real)0.35 * grains) * (1 - (real)0.35 * joints);
     yard = MIX(yard, lawn, below(0.56, noise(city->lattice, point + 20, 4.0)));
     pavement *= ((real)0.9 + (real)0.2 * slab + (real)0.3 * grains) * (1 - (real)0.3 * joints);
-    pavement = MIX(pavement, (real3)(0.80, 0.79, 0.76), below(near, STREET + (real)0.12));
+    pavement = MIX(pavement, (real3)(0.80, 0.79, 0.76), below(fabs(near - STREET), 0.12));
     const real mended = below(0.68, noise(city->lattice, point + 40, 1.3));
     const real off = fabs(noise(city->lattice, point + 80, 0.9) - (real)0.5);
     const real crack = below(off * (real)0.9, 0.012);

@@ -178,7 +178,7 @@ class Texture:
         pavement = np.array([0.66, 0.65, 0.63]) * (0.88 + 0.2 * middle)[:, None]
         if self.detail:
             pavement = pavement * ((0.9 + 0.2 * slab + 0.3 * grain) * (1 - 0.3 * joints))[:, None]
-            pavement = _mix(pavement, [0.80, 0.79, 0.76], self._below(near, STREET + 0.12))
+            pavement = _mix(pavement, [0.80, 0.79, 0.76], self._below(np.abs(near - STREET), 0.12))
         colour = _mix(colour, pavement, self._below(near, STREET + PAVEMENT) * outer)
         asphalt = np.array([0.33, 0.34, 0.36]) * (0.8 + 0.2 * middle + 0.2 * fine)[:, None]
         if self.detail:
