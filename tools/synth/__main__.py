@@ -88,8 +88,9 @@ def main(words):
     parser.add_argument("--seed", type=int, default=0)
     large = parser.add_argument_group("of a survey like a real one")
     large.add_argument("--large", action="store_true", help="make one")
-    large.add_argument("--pixel", type=float, help="world units on the ground of a pixel of a nadir "
-                       f"photo (as from {ALTITUDE_METRES:g} m; a unit is {UNIT_METRES:g} m)")
+    large.add_argument("--pixel", type=float,
+                       help="world units on the ground of a pixel of a nadir photo (as from "
+                       f"{ALTITUDE_METRES:g} m; a unit is {UNIT_METRES:g} m)")
     large.add_argument("--points", type=int,
                        help=f"the most sparse points ({POINTS_PER_VIEW} a photo)")
     large.add_argument("--drift", type=float, default=0.0,

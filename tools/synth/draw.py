@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +26,7 @@ CONTRAST_LOW, CONTRAST_RANGE = 0.01, 0.12
 PATCH_WIDTH, PATCH_GAPS = 4.0, 0.25  # cells of the noise field of gaps, world units; its threshold
 
 SOURCE = str(Path(__file__).with_name("raycast.cl"))
-CITY = {
+CITY: dict[str, Any] = {
     "box_count": "uint", "cells_x": "int", "cells_y": "int", "blocks_x": "int", "blocks_y": "int",
     "grid": ("real", 4), "begins": ("uint", "B"), "members": ("uint", "M"), "tops": ("real", "T"),
     "boxes": ("real", "K", 6), "spheres": ("real", "S", 4), "kinds": ("uint", "K"),
@@ -46,12 +46,12 @@ class Observed(NamedTuple):
 
     Attributes
     ----------
-    count : uint32[N], views of each.
-    views : uint32[N, MOST_OBSERVATIONS]; the first `count` of a row, in no order.
+    counts : uint32[N], views of each.
+    views : uint32[N, MOST_OBSERVATIONS]; the first `counts` of a row, in no order.
     colours : uint8[N, 3], of those with two or more views.
     """
 
-    count: NDArray[np.uint32]
+    counts: NDArray[np.uint32]
     views: NDArray[np.uint32]
     colours: NDArray[np.uint8]
 
@@ -70,14 +70,15 @@ class DeviceCity:
         grid, (cells_x, cells_y), begins, members, tops = grid_of(city)
         paint = np.column_stack([paints.facades, paints.roofs, paints.cars, paints.parts,
                                  paints.bays, paints.storeys, paints.window_share])
-        self._city = {
+        self._city: dict[str, Any] = {
             "box_count": len(city.boxes), "cells_x": cells_x, "cells_y": cells_y,
             "blocks_x": city.blocks[0], "blocks_y": city.blocks[1],
-            **{name: device.upload(values) for name, values in {
-                "grid": grid, "begins": begins, "members": members, "tops": tops,
-                "boxes": city.boxes.reshape(-1, 6), "spheres": city.spheres,
-                "kinds": city.kinds.astype(np.uint32), "paint": paint,
-                "parks": city.parks.astype(np.uint8), "lattice": paints.lattice}.items()}}
+            "grid": device.upload(grid), "begins": device.upload(begins),
+            "members": device.upload(members), "tops": device.upload(tops),
+            "boxes": device.upload(city.boxes.reshape(-1, 6)),
+            "spheres": device.upload(city.spheres), "kinds": device.upload(city.kinds, np.uint32),
+            "paint": device.upload(paint), "parks": device.upload(city.parks, np.uint8),
+            "lattice": device.upload(paints.lattice)}
         self._defines = _defines(paints)
 
     def photo(self, camera: Camera, gains: ArrayLike = (1.0, 1.0, 1.0)) -> Reading:

@@ -81,25 +81,25 @@ def synthesise_large(folder: str | Path, device: Device, views: int, size: tuple
         make_folder(folder / "images")
         (folder / "geometry.json").write_text(geometry_json(city, light if drift else None),
                                               "utf-8", newline="\n")
-        photos = [View(f"{number:0{digits}d}.jpg", camera,
-                       folder / "images" / f"{number:0{digits}d}.jpg")
-                  for number, camera in enumerate(cameras)]
-        _write_photos(drawn, photos, light, _positions(cameras, seed))
+        names = [f"{number:0{digits}d}.jpg" for number in range(views)]
+        photos = [View(name, camera, folder / "images" / name)
+                  for name, camera in zip(names, cameras)]
+        _write_photos(drawn, folder / "images", photos, light, _positions(cameras, seed))
         write_colmap(folder / "sparse" / "0", photos, sparse.points, sparse.colours,
                      np.column_stack([sparse.point, sparse.view]), sparse.pixels)
     return Survey(city.blocks, pixel, overlap_of(city, views, *size, pixel),
                   len(city.boxes) + len(city.spheres), len(sparse.points), len(sparse.point))
 
 
-def _write_photos(drawn: DeviceCity, photos: list[View], light: NDArray[np.float64],
-                  positions: list[Attributes]) -> None:
+def _write_photos(drawn: DeviceCity, folder: Path, photos: list[View],
+                  light: NDArray[np.float64], positions: list[Attributes]) -> None:
     """Draw photos one after the other, while threads encode those before."""
     def drawing() -> Iterator[tuple[View, Reading, Attributes]]:
         for photo, factors, position in zip(photos, light, positions):
             yield photo, drawn.photo(photo.camera, factors), position
 
     def write(photo: View, image: Reading, position: Attributes) -> None:
-        write_image(photo.source, image.values(), JPEG_QUALITY, position)
+        write_image(folder / photo.name, image.values(), JPEG_QUALITY, position)
 
     threads = os.cpu_count() or 1
     for _ in called_ahead(write, drawing(), threads, 2 * threads):
@@ -122,4 +122,5 @@ def _positions(cameras: list[Camera], seed: int) -> list[Attributes]:
 def _sexagesimal(degrees: float) -> tuple[float, float, float]:
     """Degrees, minutes and seconds of an angle of at least 0 degrees."""
     minutes, seconds = divmod(3600 * degrees, 60)
-    return (*map(float, divmod(minutes, 60)), float(seconds))
+    whole, minutes = divmod(minutes, 60)
+    return float(whole), float(minutes), float(seconds)

@@ -56,8 +56,8 @@ def observe_on(drawn: DeviceCity, city: City, cameras: Sequence[Camera], count: 
         rng = np.random.default_rng([seed, 4, tried])
         points, solids = sample_solids(city, CHUNK, GROUND_MARGIN, rng)
         seen = drawn.observed(points, solids, packed, size, tried * CHUNK, seed)
-        kept = np.flatnonzero(seen.count >= 2)[:count - done]
-        taken = np.arange(seen.views.shape[1]) < seen.count[kept, None]
+        kept = np.flatnonzero(seen.counts >= 2)[:count - done]
+        taken = np.arange(seen.views.shape[1]) < seen.counts[kept, None]
         point = np.nonzero(taken)[0].astype(np.int32)
         view = seen.views[kept][taken].astype(np.int32)
         noisy, pixels = _measured(points[kept], point, view, cameras[0], stacked, rng)

@@ -76,8 +76,8 @@ def fly(city: City, views: int, width: int, height: int, pixel: float, seed: int
 def blocks_for(views: int, width: int, height: int, pixel: float) -> int:
     """The blocks along each side of a city that `fly` covers with about OVERLAP."""
     nadir = views * NADIR_SHARE_LARGE
-    side = np.sqrt(nadir * width * height) * pixel * (1 - OVERLAP)
-    return max(1, round((side - 2 * (STREET + PAVEMENT)) / BLOCK_WIDTH))
+    side = float(np.sqrt(nadir * width * height)) * pixel * (1 - OVERLAP)
+    return max(1, round(float(side - 2 * (STREET + PAVEMENT)) / BLOCK_WIDTH))
 
 
 def overlap_of(city: City, views: int, width: int, height: int, pixel: float) -> float:
@@ -95,7 +95,8 @@ def gains(views: int, drift: float, seed: int = 0) -> NDArray[np.float64]:
                  for _ in range(4)) for _ in range(2)]
     exposure, balance = (wave / np.abs(wave).max() for wave in waves)
     warm = WHITE_BALANCE_SHARE * balance[:, None] * np.array([1.0, 0.0, -1.0])
-    return np.exp(np.log1p(drift) * (exposure[:, None] + warm))
+    factors: NDArray[np.float64] = np.exp(np.log1p(drift) * (exposure[:, None] + warm))
+    return factors
 
 
 def _downward(place: NDArray[np.float64], altitude: float, width: int, height: int,
