@@ -133,8 +133,9 @@ def test_a_survey_is_a_scene_with_gps_and_the_same_bytes_again(item_device, tmp_
 
 
 @pytest.mark.parametrize("options", [
-    ("--pixel", "0.01"), ("--drift", "2"), ("--points", "-5"), ("--device", "abacus")])
+    ("--large", "--pixel", "0.01"), ("--large", "--drift", "2"), ("--large", "--points", "-5"),
+    ("--large", "--device", "abacus"), ("--drift", "0.1")])
 def test_bad_options_are_refused_before_anything_is_written(tmp_path, options):
     with pytest.raises(SystemExit) as end:
-        main([str(tmp_path / "scene"), "--large", *options])
+        main([str(tmp_path / "scene"), *options])
     assert end.value.code == 2 and not list(tmp_path.iterdir())

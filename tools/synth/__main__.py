@@ -97,6 +97,8 @@ def main(words):
                        help="of exposure over the flight, 0.15 for 15 %% up and down")
     large.add_argument("--device", default="auto", help="as of clsplat")
     given = parser.parse_args(words)
+    if not given.large and (given.pixel or given.points or given.drift):
+        parser.error("--pixel, --points and --drift need --large")
     try:
         print(f"{given.folder}: {(large_scene if given.large else small_scene)(given)}")
     except ClsplatError as error:
