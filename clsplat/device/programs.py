@@ -141,13 +141,16 @@ def words_of(name: str) -> frozenset[str]:
 
 
 def _lines(name: str) -> Iterator[str]:
-    """Lines of the file "blend.cl", "item/blend.cl", "real.h" of include/, or an absolute path."""
+    """Lines of the file "blend.cl", "item/blend.cl", "real.h" of include/, or an absolute path,
+    beside which its own included files may lie."""
     folder = kernel_folder() / ("include" if name.endswith(".h") else "")
     shown = name.replace("\\", "/")  # a backslash of Windows would be an escape
     yield f'#line 1 "{shown}"'
     for number, line in enumerate((folder / name).read_text(encoding="utf-8").splitlines(), 1):
         if included := INCLUDE.match(line):
-            yield from _lines(included[1])
+            beside = Path(name).parent / included[1]
+            own = beside.is_absolute() and beside.exists()
+            yield from _lines(str(beside) if own else included[1])
             yield f'#line {number + 1} "{shown}"'
         else:
             yield line

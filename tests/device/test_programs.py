@@ -100,6 +100,13 @@ def test_a_wrong_declaration_is_refused_however_often(float_device, folder, tmp_
             device._build(wrong, ())
 
 
+def test_a_source_elsewhere_may_have_its_own_included_files(tmp_path):
+    (tmp_path / "own.cl").write_text('#include "real.h"\n#include "own.h"\n')
+    (tmp_path / "own.h").write_text("int own;\n")
+    source = programs.kernel_source(str(tmp_path / "own.cl"))
+    assert "int own;" in source and "typedef double real;" in source
+
+
 def test_a_home_that_cannot_be_written_costs_nothing(float_device, tmp_path, monkeypatch, folder):
     (tmp_path / ".cache").write_text("not a folder")
     assert doubled(float_device, build(float_device)) == [2, 5]

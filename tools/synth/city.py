@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 BLOCK_WIDTH = 20.0  # distance between the centre lines of neighbouring streets
 STREET = 2.5  # half the width of the road
 PAVEMENT = 0.9  # width of the pavement on each side
-KINDS = ("building", "plant", "car", "cabin", "trunk")  # of boxes, by texture
+KINDS = ("building", "plant", "car", "cabin", "trunk", "part")  # of boxes, by texture
+UNIT_METRES = 4.0  # of a world unit
 TALLEST_BUILDING = 12.0  # world units
 INNER = BLOCK_WIDTH / 2 - STREET - PAVEMENT  # half the width of a block inside its pavement
 
@@ -53,8 +54,15 @@ class City:
         return np.concatenate([self.boxes, np.stack([centre - radius, centre + radius], axis=1)])
 
 
-def lay_out(blocks: tuple[int, int] = (2, 2), seed: int = 0) -> City:
-    """A City with this number of blocks along x and y; the same seed gives the same city."""
+def lay_out(blocks: tuple[int, int] = (2, 2), seed: int = 0, small: bool = False) -> City:
+    """A City; the same seed gives the same city.
+
+    Parameters
+    ----------
+    blocks : their number along x and y.
+    seed : of all randomness.
+    small : whether it has small parts, too: on roofs, in yards and along the streets.
+    """
     builder = _Builder(np.random.default_rng([seed, 1]))
     parks = np.zeros(blocks, bool)
     if parks.size > 1:
@@ -68,6 +76,11 @@ def lay_out(blocks: tuple[int, int] = (2, 2), seed: int = 0) -> City:
         for line in range(blocks[axis] + 1):
             builder.cars(axis, (line - blocks[axis] / 2) * BLOCK_WIDTH,
                          blocks[1 - axis] * BLOCK_WIDTH / 2)
+    if small:
+        builder.rng = np.random.default_rng([seed, 5])  # the other solids stay as they are
+        builder.roof_parts()
+        for place in np.ndindex(*blocks):
+            builder.street_parts((np.array(place) - (np.array(blocks) - 1) / 2) * BLOCK_WIDTH)
     # rounded, so that geometry.json has exactly the numbers that were rendered
     return City(seed, blocks, parks, np.round(np.array(builder.boxes), 3),
                 np.array([KINDS.index(kind) for kind in builder.kinds]),
@@ -172,9 +185,46 @@ class _Builder:
                     self.box("car", centre, half, 0.38)
                     self.box("cabin", centre, half * (0.9, 0.9) - 0.28 * (half > 0.5), 0.66)
 
+    def roof_parts(self) -> None:
+        """Vents, chimneys and skylights on every roof, and rows of panels on some."""
+        roofs = [box for box, kind in zip(self.boxes, self.kinds) if kind == "building"]
+        for low, high in np.array(roofs):
+            centre, half = (low[:2] + high[:2]) / 2, (high[:2] - low[:2]) / 2
+            for _ in range(self.rng.poisson(0.4 * 4 * half.prod())):
+                size = self.rng.uniform(0.05, 0.2, 2)
+                place = centre + self.rng.uniform(-1, 1, 2) * (half - size - 0.35)
+                self.box("part", place, size, high[2] + self.rng.uniform(0.06, 0.45))
+            if self.rng.random() < 0.3:
+                first = centre - half * self.rng.uniform(0.3, 0.8, 2)
+                for row, column in np.ndindex(*self.rng.integers(2, 5, 2)):
+                    place = first + (0.52 * column, 0.42 * row)
+                    if (np.abs(place - centre) < half - 0.6).all():
+                        self.box("part", place, np.array([0.23, 0.14]), high[2] + 0.09)
+
+    def street_parts(self, centre: NDArray[np.float64]) -> None:
+        """Lamps along the pavement, and benches, bins and bushes in a block."""
+        for side in np.ndindex(2, 2, 3):
+            across = (2 * side[1] - 1) * (INNER + 0.6 * PAVEMENT)
+            place = np.array([across, (side[2] - 1) * 0.9 * INNER])
+            place = centre + (place if side[0] else place[::-1])
+            self.box("part", place, np.full(2, 0.035), self.rng.uniform(1.1, 1.3))
+        for _ in range(14):
+            place = centre + self.rng.uniform(-0.95, 0.95, 2) * INNER
+            self.box("part", place, self.rng.uniform(0.06, 0.25, 2), self.rng.uniform(0.1, 0.3))
+        for _ in range(10):
+            radius = self.rng.uniform(0.12, 0.4)
+            self.spheres.append([*(centre + self.rng.uniform(-0.95, 0.95, 2) * INNER),
+                                 0.5 * radius, radius])
+
 
 def sample(city: City, count: int, margin: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Points [count, 3] that are sampled uniformly from the area of all surfaces.
+    """The points of `sample_solids` alone."""
+    return sample_solids(city, count, margin, rng)[0]
+
+
+def sample_solids(city: City, count: int, margin: float, rng: np.random.Generator
+                  ) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+    """Sample points uniformly from the area of all surfaces.
 
     Parts of surfaces inside another solid are included, since the ray caster tells what is visible.
 
@@ -184,6 +234,11 @@ def sample(city: City, count: int, margin: float, rng: np.random.Generator) -> N
     count : the number of points.
     margin : how far the ground reaches beyond the built area, world units.
     rng : the source of randomness.
+
+    Returns
+    -------
+    The points [count, 3], world, and their primitives [count]: 0 for the ground, then the boxes,
+    then the spheres.
     """
     size = city.boxes[:, 1] - city.boxes[:, 0]
     ground = city.extent + margin
@@ -208,14 +263,21 @@ def sample(city: City, count: int, margin: float, rng: np.random.Generator) -> N
     on = chosen > faces.size
     sphere = city.spheres[chosen[on] - 1 - faces.size]
     points[on] = sphere[:, :3] + normal[on] * sphere[:, 3:]
-    return points
+    solid = np.where(on, chosen - faces.size + len(city.boxes), (chosen + 2) // 3)
+    return points, solid
 
 
-def geometry_json(city: City) -> str:
-    """The text of `geometry.json`, the ground truth of a scene folder."""
+def geometry_json(city: City, gains: NDArray[np.float64] | None = None) -> str:
+    """The text of `geometry.json`, the ground truth of a scene folder.
+
+    Parameters
+    ----------
+    city : the solids.
+    gains : [V, 3]; by which the light of each photo was multiplied, if they are not all one.
+    """
     table = {
         "about": "ground truth: ground plane z = 0, boxes standing on it, spheres; z is up",
-        "unit_metres": 4.0,
+        "unit_metres": UNIT_METRES,
         "seed": city.seed,
         "blocks": list(city.blocks),
         "ground_extent": [(-city.extent).tolist(), city.extent.tolist()],
@@ -223,6 +285,7 @@ def geometry_json(city: City) -> str:
         "boxes": [{"kind": KINDS[kind], "low": low.tolist(), "high": high.tolist()}
                   for kind, (low, high) in zip(city.kinds, city.boxes)],
         "spheres": [{"centre": row[:3].tolist(), "radius": row[3]} for row in city.spheres],
+        **({} if gains is None else {"gains": gains.tolist()}),
     }
     rows = json.dumps(table).replace('{"kind"', '\n{"kind"').replace('{"centre"', '\n{"centre"')
     return rows + "\n"

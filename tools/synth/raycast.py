@@ -8,7 +8,7 @@ along one axis of the plane, so that the candidates of each solid are found quic
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from clsplat.camera import Camera
 from tools.synth.city import City
@@ -20,6 +20,8 @@ SUN = np.array([0.45, -0.38, 0.81])  # towards the sun
 SUN /= np.linalg.norm(SUN)
 SUNLIGHT = np.array([0.78, 0.75, 0.68])
 SKYLIGHT = np.array([0.42, 0.45, 0.50])
+SKY = np.array([0.62, 0.74, 0.88])
+DISPLAY_GAMMA = 1.3
 NEAR_DEPTH = 1e-3  # of the near plane, world units
 NO_HIT = np.inf  # the ray parameter of a ray that meets nothing
 
@@ -174,8 +176,9 @@ def shade(texture: Texture, points: NDArray[np.float64], primitive: NDArray[np.i
     return colours
 
 
-def render(texture: Texture, camera: Camera) -> NDArray[np.uint8]:
-    """A photo [H, W, 3] of the texture's city."""
+def render(texture: Texture, camera: Camera, gains: ArrayLike = (1.0, 1.0, 1.0)
+           ) -> NDArray[np.uint8]:
+    """A photo [H, W, 3] of the texture's city, whose light is multiplied by gains [3]."""
     width = camera.width * SAMPLES_PER_SIDE
     image = np.empty((camera.height, camera.width, 3))
     band = max(1, MOST_RAYS // (width * SAMPLES_PER_SIDE))
@@ -185,10 +188,10 @@ def render(texture: Texture, camera: Camera) -> NDArray[np.uint8]:
         y = (np.arange(top * SAMPLES_PER_SIDE, bottom * SAMPLES_PER_SIDE) + 0.5) / SAMPLES_PER_SIDE
         pixels = np.stack(np.meshgrid(x, y), axis=2).reshape(-1, 2)
         points, primitive = cast(texture.city, camera, pixels)
-        colour = np.tile([0.62, 0.74, 0.88], (len(pixels), 1))
+        colour = np.tile(SKY, (len(pixels), 1))
         solid = primitive >= 0
         colour[solid] = shade(texture, points[solid], primitive[solid])
         colour = colour.reshape(bottom - top, SAMPLES_PER_SIDE, camera.width, SAMPLES_PER_SIDE, 3)
         image[top:bottom] = colour.mean(axis=(1, 3))
     # a display curve that brightens shadows
-    return np.round(255 * image ** (1 / 1.3)).astype(np.uint8)
+    return np.round(255 * np.minimum(image * gains, 1) ** (1 / DISPLAY_GAMMA)).astype(np.uint8)

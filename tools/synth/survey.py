@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from tools.synth.city import TALLEST_BUILDING, City, sample
+from clsplat.errors import InputError
+from tools.synth.city import BLOCK_WIDTH, PAVEMENT, STREET, TALLEST_BUILDING, City, sample
 from tools.synth.raycast import cast
 
 HALF_FIELD_OF_VIEW = np.deg2rad(30)  # horizontal
@@ -23,6 +24,12 @@ GROUND_MARGIN = 10.0  # world units: width of the ground with points around the 
 NOISE_PIXELS = 0.3  # of observations, and of the points themselves at their mean distance
 DETECTION_RATE = 0.45  # share of the views that see a point in which it is also detected
 IMAGE_BORDER = 6  # pixels along the image border without observations
+# of a flight over a large city
+NADIR_SHARE_LARGE = 0.6
+OVERLAP = 0.76  # of neighbouring nadir photos on the ground, along and across the strips
+LEAST_ALTITUDE = 1.5 * TALLEST_BUILDING  # world units
+DRIFT_WAVES = 5  # the most periods of an exposure drift in a flight
+WHITE_BALANCE_SHARE = 0.25  # of the drift of red against blue in that of all colours
 
 
 def survey(city: City, views: int, width: int, height: int, seed: int = 0) -> list[Camera]:
@@ -37,12 +44,76 @@ def survey(city: City, views: int, width: int, height: int, seed: int = 0) -> li
     altitude = max(2.6 * np.sqrt(area / nadir), 2.2 * TALLEST_BUILDING)
     cameras = []
     for place in _grid(nadir, city.extent * 0.8):
-        tilt = rng.normal(0, 0.03, 2)
-        cameras.append(looking(
-            np.array([*place, altitude * rng.uniform(0.97, 1.03)]), np.array([*tilt, -1.0]),
-            np.array([0, 1.0, 0]), width, height))
+        cameras.append(_downward(place, altitude, width, height, rng))
+    return cameras + _obliques(city, _grid(views - nadir, city.extent * 0.6), altitude, width,
+                               height, rng)
+
+
+def fly(city: City, views: int, width: int, height: int, pixel: float, seed: int = 0
+        ) -> list[Camera]:
+    """The cameras of a large survey in the order of the flight: strips of nadir views, then strips
+    of obliques.
+
+    Parameters
+    ----------
+    city : the solids.
+    views : the number of photos.
+    width, height : of a photo, pixels.
+    pixel : world units on the ground of a pixel of a nadir view, from which the altitude follows.
+    seed : of the tilts of cameras and the like.
+    """
+    rng = np.random.default_rng([seed, 3])
+    nadir = round(views * NADIR_SHARE_LARGE)
+    altitude = pixel * focal_of(width)
+    if altitude < LEAST_ALTITUDE:
+        raise InputError(f"made city: a pixel of {pixel:g} units at a width of {width} needs an "
+                         f"altitude of {altitude:.1f} units, lower than {LEAST_ALTITUDE:g}")
+    return [_downward(place, altitude, width, height, rng)
+            for place in _grid(nadir, city.extent, (width, height))] + _obliques(
+        city, _grid(views - nadir, city.extent, (width, height)), altitude, width, height, rng)
+
+
+def blocks_for(views: int, width: int, height: int, pixel: float) -> int:
+    """The blocks along each side of a city that `fly` covers with about OVERLAP."""
+    nadir = views * NADIR_SHARE_LARGE
+    side = float(np.sqrt(nadir * width * height)) * pixel * (1 - OVERLAP)
+    return max(1, round(float(side - 2 * (STREET + PAVEMENT)) / BLOCK_WIDTH))
+
+
+def overlap_of(city: City, views: int, width: int, height: int, pixel: float) -> float:
+    """The share of the side of a nadir view, on the ground, that its neighbour in `fly` sees."""
+    cell = 4 * city.extent.prod() / (views * NADIR_SHARE_LARGE)
+    return 1 - float(np.sqrt(cell / (width * height))) / pixel
+
+
+def gains(views: int, drift: float, seed: int = 0) -> NDArray[np.float64]:
+    """Factors [V, 3] by which the light of each photo is multiplied: exposure and, less so, white
+    balance drift slowly over the flight, by up to `drift` (0.15: 15 %)."""
+    rng = np.random.default_rng([seed, 6])
+    turns = np.linspace(0, 2 * np.pi, views)
+    waves = [sum(np.sin(turns * rng.uniform(0.5, DRIFT_WAVES) + rng.uniform(0, 2 * np.pi))
+                 for _ in range(4)) for _ in range(2)]
+    exposure, balance = (wave / np.abs(wave).max() for wave in waves)
+    warm = WHITE_BALANCE_SHARE * balance[:, None] * np.array([1.0, 0.0, -1.0])
+    factors: NDArray[np.float64] = np.exp(np.log1p(drift) * (exposure[:, None] + warm))
+    return factors
+
+
+def _downward(place: NDArray[np.float64], altitude: float, width: int, height: int,
+              rng: np.random.Generator) -> Camera:
+    """A nadir camera over a place [2], nearly upright."""
+    tilt = rng.normal(0, 0.03, 2)
+    return looking(np.array([*place, altitude * rng.uniform(0.97, 1.03)]), np.array([*tilt, -1.0]),
+                   np.array([0, 1.0, 0]), width, height)
+
+
+def _obliques(city: City, places: NDArray[np.float64], altitude: float, width: int, height: int,
+              rng: np.random.Generator) -> list[Camera]:
+    """Cameras that look obliquely at places [N, 2] of the ground from a little below the altitude.
+    """
+    cameras = []
     turn = rng.uniform(0, 2 * np.pi)
-    for number, place in enumerate(_grid(views - nadir, city.extent * 0.6)):
+    for number, place in enumerate(places):
         # by the golden angle, so that neighbouring views see a facade from different sides
         heading = turn + number * GOLDEN_ANGLE
         ahead = place + 0.4 * altitude * np.array([np.cos(heading), np.sin(heading)])
@@ -58,15 +129,23 @@ def survey(city: City, views: int, width: int, height: int, seed: int = 0) -> li
     return cameras
 
 
-def _grid(count: int, reach: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`count` positions [count, 2] in rows that fill -reach to reach, alternating in direction."""
-    rows = int(np.clip(round(np.sqrt(count * reach[1] / reach[0])), 1, max(count, 1)))
+def _grid(count: int, reach: NDArray[np.float64], shape: tuple[float, float] = (1, 1)
+          ) -> NDArray[np.float64]:
+    """`count` positions [count, 2] in rows that fill -reach to reach, alternating in direction;
+    those of neighbours differ in x and y as the sides of `shape`."""
+    most = count * reach[1] / reach[0] * (shape[0] / shape[1])
+    rows = int(np.clip(round(np.sqrt(most)), 1, max(count, 1)))
     places: list[tuple[float, float]] = []
     for row, members in enumerate(np.array_split(np.arange(count), rows)):
         x = ((np.arange(len(members)) + 0.5) / max(len(members), 1) * 2 - 1) * reach[0]
         y = ((row + 0.5) / rows * 2 - 1) * reach[1]
         places += [(value, y) for value in (x if row % 2 == 0 else x[::-1])]
     return np.array(places).reshape(-1, 2)
+
+
+def focal_of(width: int) -> float:
+    """The focal length of the survey's camera, pixels, for a photo of this width."""
+    return float(width / 2 / np.tan(HALF_FIELD_OF_VIEW))
 
 
 def looking(position: NDArray[np.float64], forward: NDArray[np.float64],
@@ -77,7 +156,7 @@ def looking(position: NDArray[np.float64], forward: NDArray[np.float64],
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    focal = width / 2 / np.tan(HALF_FIELD_OF_VIEW)
+    focal = focal_of(width)
     return Camera(width, height, (focal, focal), (width / 2, height / 2), rotation,
                   -rotation @ position)
 

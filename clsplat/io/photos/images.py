@@ -17,10 +17,12 @@ from clsplat.io.photos.photo import Levels, Source, opened, reason_of
 from clsplat.io.photos.resample import joined, resampled_bands
 
 JPEG_QUALITY = 92
+Attributes = Mapping[str, str | int | float | tuple[float, ...]]  # of OpenImageIO, by name
 SPARE_BYTES = 1 << 20  # of the disk, beside twice the pixels of an image
 
 
-def write_image(path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUALITY) -> None:
+def write_image(path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUALITY,
+                attributes: Attributes = MappingProxyType({})) -> None:
     """Write an image file, which appears whole or not at all.
 
     Parameters
@@ -28,9 +30,10 @@ def write_image(path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUAL
     path : its suffix selects the format.
     pixels : uint8[H, W, 3], or float[H, W, 3] in 0..1 (clipped; NaN is black), sRGB.
     quality : of JPEG, 1 to 100.
+    attributes : as for `encode_image`.
     """
     path = Path(path)
-    data = encode_image(pixels, path.suffix.lower().removeprefix("."), quality, path)
+    data = encode_image(pixels, path.suffix.lower().removeprefix("."), quality, path, attributes)
     with replacing(path) as file:
         file.write(data)
 
@@ -42,7 +45,7 @@ def eight_bits(pixels: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
-                 attributes: Mapping[str, str | int] = MappingProxyType({})) -> bytes:
+                 attributes: Attributes = MappingProxyType({})) -> bytes:
     """Encode an image as the bytes of a file.
 
     OpenImageIO writes to files only, and on a full disk it reports success or, in libjpeg, ends the
@@ -52,7 +55,8 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
     ----------
     pixels, quality : as for `write_image`.
     suffix, name : of the format, such as "png", and of the image for messages.
-    attributes : further ones of OpenImageIO for this format.
+    attributes : further ones of OpenImageIO for this format, such as those of EXIF; a tuple is
+        float32[N].
     """
     import OpenImageIO as oiio
 
@@ -68,7 +72,10 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
         spec.attribute("Compression", f"jpeg:{quality}")
         spec.attribute("jpeg:subsampling", "4:4:4")
     for attribute, value in attributes.items():
-        spec.attribute(attribute, value)
+        if isinstance(value, tuple):
+            spec.attribute(attribute, oiio.TypeDesc(f"float[{len(value)}]"), value)
+        else:
+            spec.attribute(attribute, value)
 
     with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
         if shutil.disk_usage(folder).free < 2 * pixels.nbytes + SPARE_BYTES:

@@ -8,7 +8,7 @@ Format: https://colmap.github.io/format.html.
 import codecs
 import mmap
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,6 +37,7 @@ _POINT = np.dtype([("id", "<u8"), ("position", "<f8", 3), ("colour", "u1", 3), (
                    ("length", "<u8")])  # then the track
 _LENGTH = struct.Struct("<Q")
 _TRACK = np.dtype([("image", "<u4"), ("observation", "<u4")])
+POINTS_AT_ONCE = 1 << 16  # that are written
 
 
 class Camera(NamedTuple):
@@ -232,10 +233,11 @@ def write_colmap(folder: Path, views: Sequence[View], points: NDArray[np.float64
     for rows in of_views:
         track["observation"][rows] = np.arange(len(rows))
     lengths = np.bincount(point, minlength=len(points))
-    tracks = np.split(track[np.argsort(point, kind="stable")], np.cumsum(lengths)[:-1])
     heads = np.zeros(len(points), _POINT)
     heads["id"], heads["position"] = np.arange(1, len(points) + 1), points
     heads["colour"], heads["error"], heads["length"] = colours, -1, lengths
+    if (np.diff(point) < 0).any():
+        track = track[np.argsort(point, kind="stable")]
     intrinsics = [(each.camera.width, each.camera.height, *each.camera.focal, *each.camera.centre)
                   for each in views]
     cameras = {each: number for number, each in enumerate(dict.fromkeys(intrinsics), 1)}
@@ -248,11 +250,28 @@ def write_colmap(folder: Path, views: Sequence[View], points: NDArray[np.float64
             ("images", len(views), (
                 _image(number, each, cameras[intrinsics[number - 1]], pixels[rows], point[rows])
                 for number, (each, rows) in enumerate(zip(views, of_views), 1))),
-            ("points3D", len(points), (
-                head.tobytes() + seen.tobytes() for head, seen in zip(heads, tracks)))):
+            ("points3D", len(points), _point_records(heads, track))):
         with replacing(folder / f"{name}.bin") as file:
             file.write(_LENGTH.pack(count))
             file.writelines(records)
+
+
+def _point_records(heads: NDArray[Any], track: NDArray[Any]) -> Iterator[bytes]:
+    """The records of points [N], each with its part of the track [M], many at a time: a call for
+    each of some millions of points would take a minute."""
+    ends = np.cumsum(heads["length"], dtype=np.int64)
+    for first in range(0, len(heads), POINTS_AT_ONCE):
+        some = heads[first:first + POINTS_AT_ONCE]
+        lengths = some["length"].astype(np.int64)
+        end = ends[first + len(some) - 1]
+        sizes = _POINT.itemsize + _TRACK.itemsize * lengths
+        begins = np.cumsum(sizes) - sizes
+        data = np.empty(sizes.sum(), np.uint8)
+        is_head = np.zeros(len(data), bool)
+        is_head[begins[:, None] + np.arange(_POINT.itemsize)] = True
+        data[is_head] = some.view(np.uint8)
+        data[~is_head] = track[end - lengths.sum():end].view(np.uint8)
+        yield data.tobytes()
 
 
 def _image(number: int, view: View, camera: int, pixels: NDArray[np.float64],

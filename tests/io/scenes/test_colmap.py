@@ -6,10 +6,13 @@ import numpy as np
 import pycolmap
 import pytest
 
+from clsplat.camera import Camera
 from clsplat.io.photos.images import write_image
+from clsplat.io.scenes import colmap_files
 from clsplat.io.scenes.colmap import read_colmap
 from clsplat.io.scenes.colmap_files import CAMERA_MODELS
 from clsplat.io.scenes.read import fingerprint, read_scene
+from clsplat.scene import View
 from tests import refusals
 from tests.data.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, write_scene
 
@@ -67,6 +70,21 @@ def test_observations_are_the_tracks(tmp_path, text):
     assert scene.observations.dtype == np.int32
     assert np.array_equal(scene.observations, expected)
     assert scene.reduced(2).recentred().observations is scene.observations
+
+
+@pytest.mark.parametrize("at_once", [1, 3, 1 << 16])
+def test_points_of_any_order_are_written_with_their_tracks(tmp_path, monkeypatch, at_once):
+    rng = np.random.default_rng(0)
+    views = [View(f"{number}.jpg", Camera(9, 9, (9.0, 9.0), (4.5, 4.5), np.eye(3), np.zeros(3)),
+                  tmp_path) for number in range(4)]
+    seen = rng.permutation(np.argwhere(rng.random((7, 4)) < 0.4))
+    assert len(np.unique(seen[:, 0])) < 7  # some are not seen
+    points, colours = rng.normal(size=(7, 3)), rng.integers(0, 256, (7, 3)).astype(np.uint8)
+    monkeypatch.setattr(colmap_files, "POINTS_AT_ONCE", at_once)
+    colmap_files.write_colmap(tmp_path, views, points, colours, seen, rng.random((len(seen), 2)))
+    read = colmap_files.read_part(tmp_path / "points3D.bin", "points3D")
+    assert (read.positions == points).all() and (read.colours == colours).all()
+    assert {*zip(read.rows.tolist(), (read.images - 1).tolist())} == set(map(tuple, seen.tolist()))
 
 
 def test_fingerprint_tells_scenes_apart(tmp_path):
