@@ -270,9 +270,8 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
     learned = Model.arrays([field.name for field in LEARNED], prepared.options.sh_degree,
                            segments[-1].gaussians)
     sums = sum(spec.nbytes(device.real) for spec in learned.values())
-    averages = prepared.options.average > 0
-    total = max(total, nbytes + int(frame) + sum(model) + (1 + averages) * sums)
-    steps = max(steps, nbytes + int(frame) + sum(model) + averages * sums)
+    copies = 1 + (prepared.options.average > 0)
+    total = max(total, nbytes + int(frame) + sum(model) + copies * sums)
     return Memory(max(total, steps), steps,
                   max(nbytes * resident for nbytes, resident in photos.values()),
                   all(resident for _, resident in photos.values()), sum(model))
