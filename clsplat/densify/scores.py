@@ -95,6 +95,8 @@ def blending_weights(renderer: Renderer, rows: Rows, cameras: Iterable[SizedCame
         nothing = renderer.device.zeros((height, width))  # no weighted sum is needed
         weights[frame.visible.download()] += contribution(
             renderer.device, frame, nothing).download()[:, 1]
+        del frame, nothing
+        renderer.device.trim()  # or blocks of the many sizes of frames add up
     return weights
 
 

@@ -162,12 +162,13 @@ class Arena:
 
         Parameters
         ----------
-        exact : whether a new block has just this size, for the same arrays again and again.
-            Otherwise sizes are rounded up, so that arrays of changing sizes find blocks.
+        exact : whether a new block has just this size, and an old one may be up to `MOST_SPARE`
+            times as large: for the same arrays again and again. Otherwise sizes are rounded up, so
+            that arrays of changing sizes find blocks.
         """
         size = size if exact else block_bytes(size)
         fits = [other for other, free in self._free.items()
-                if free and size <= other <= MOST_SPARE * size]
+                if free and size <= other <= (MOST_SPARE * size if exact else size)]
         if fits:
             free = self._free[min(fits)]
             return Block(free.pop(), free.append)
