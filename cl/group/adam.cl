@@ -92,8 +92,8 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
                     begin + live_places[place], column[k])];
                 parameter[k] = OF_FIELD(column[k], positions, sh_constant, opacity_logits,
                                         log_scales, quaternions)[place_in_field(row[k], column[k])];
-                own_m[k] = first_of(m[moments]);
-                own_v[k] = second_of(v[moments]);
+                own_m[k] = m_of(m[moments]);
+                own_v[k] = v_of(m[moments], v[moments]);
             }
 #pragma unroll
             for (uint k = 0; k < SMALL_AT_ONCE; k++) {
@@ -107,7 +107,7 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
                     stepped(parameter[k], OF_FIELD(column[k], 1, share, 1, 1, 1) * g[k], rate,
                             correction, own_m + k, own_v + k);
                 const uint noise = noise_of(SMALL_ELEMENT(row[k], column[k]), now);
-                m[moments] = first_code(own_m[k], noise);
+                m[moments] = first_code(own_m[k], own_v[k], noise);
                 v[moments] = second_code(own_v[k], noise);
             }
         }
@@ -129,8 +129,8 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
                 const ulong moments = (ulong)row[k] * SH_STRIDE + column[k];
                 __local const real *own = shared + place * (SH_ACTIVE + 3);
                 parameter[k] = sh_rest[(ulong)row[k] * SH_STRIDE + column[k]];
-                own_m[k] = first_of(m_rest[moments]);
-                own_v[k] = second_of(v_rest[moments]);
+                own_m[k] = m_of(m_rest[moments]);
+                own_v[k] = v_of(m_rest[moments], v_rest[moments]);
                 g[k] = rank_one
                            ? own[column[k] / 3] * own[SH_ACTIVE + column[k] % 3]
                            : grad_sh_rest[(begin + live_places[place]) * SH_STRIDE + column[k]];
@@ -143,7 +143,7 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
                 sh_rest[(ulong)row[k] * SH_STRIDE + column[k]] =
                     stepped(parameter[k], g[k], rate_sh_rest, correction, own_m + k, own_v + k);
                 const uint noise = noise_of(REST_ELEMENT(row[k], column[k]), now);
-                m_rest[moments] = first_code(own_m[k], noise);
+                m_rest[moments] = first_code(own_m[k], own_v[k], noise);
                 v_rest[moments] = second_code(own_v[k], noise);
             }
         }
@@ -211,8 +211,8 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
                 const ulong moments = (ulong)row * SMALL_COLUMNS + column[k];
                 parameter[k] = OF_FIELD(column[k], positions, sh_constant, opacity_logits,
                                         log_scales, quaternions)[place_in_field(row, column[k])];
-                first[k] = first_of(m[moments]);
-                second[k] = second_of(v[moments]);
+                first[k] = m_of(m[moments]);
+                second[k] = v_of(m[moments], v[moments]);
             }
 #pragma unroll
             for (uint k = 0; k < SMALL_AT_ONCE; k++) {
@@ -228,8 +228,9 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
                     decayed_step(parameter[k], own[DUE_EPSILON], distance, first[k], second[k]);
                 if (keeps) {
                     const uint noise = noise_of(SMALL_ELEMENT(row, column[k]), now);
-                    m[moments] = first_code(first[k] * own[DUE_DECAY1], noise);
-                    v[moments] = second_code(second[k] * own[DUE_DECAY2], noise);
+                    const real decayed = second[k] * own[DUE_DECAY2];
+                    m[moments] = first_code(first[k] * own[DUE_DECAY1], decayed, noise);
+                    v[moments] = second_code(decayed, noise);
                 }
             }
         }
@@ -249,8 +250,8 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
                 const uint row = due_rows[place[k]];
                 const ulong moments = (ulong)row * SH_STRIDE + column[k];
                 parameter[k] = sh_rest[(ulong)row * SH_STRIDE + column[k]];
-                first[k] = first_of(m_rest[moments]);
-                second[k] = second_of(v_rest[moments]);
+                first[k] = m_of(m_rest[moments]);
+                second[k] = v_of(m_rest[moments], v_rest[moments]);
             }
 #pragma unroll
             for (uint k = 0; k < REST_AT_ONCE; k++) {
@@ -263,8 +264,9 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
                     parameter[k], own[DUE_EPSILON], own[LAZY_SH_REST], first[k], second[k]);
                 if (keeps) {
                     const uint noise = noise_of(REST_ELEMENT(row, column[k]), now);
-                    m_rest[moments] = first_code(first[k] * own[DUE_DECAY1], noise);
-                    v_rest[moments] = second_code(second[k] * own[DUE_DECAY2], noise);
+                    const real decayed = second[k] * own[DUE_DECAY2];
+                    m_rest[moments] = first_code(first[k] * own[DUE_DECAY1], decayed, noise);
+                    v_rest[moments] = second_code(decayed, noise);
                 }
             }
         }

@@ -15,14 +15,14 @@ DEFINE_CODES(16)
                             __global FIRST_MOMENT *m, __global SECOND_MOMENT *v)                   \
     {                                                                                              \
         const uint##S noise = noise_of##S(element + IOTA_S, now);                                  \
-        STORE(first_code##S(first, noise), 0, m);                                                  \
+        STORE(first_code##S(first, second, noise), 0, m);                                          \
         STORE(second_code##S(second, noise), 0, v);                                                \
     }                                                                                              \
     inline void step_##NAME(real##S g, real rate, real correction, __global real *parameter,       \
                             uint element, uint now, __global FIRST_MOMENT *m,                      \
                             __global SECOND_MOMENT *v)                                             \
     {                                                                                              \
-        real##S first = first_of##S(LOAD(0, m)), second = second_of##S(LOAD(0, v));                \
+        real##S first = m_of##S(LOAD(0, m)), second = v_of##S(LOAD(0, m), LOAD(0, v));             \
         STORE(stepped##S(LOAD(0, parameter), g, rate, correction, &first, &second), 0, parameter); \
         keep_##NAME(first, second, element, now, m, v);                                            \
     }                                                                                              \
@@ -30,7 +30,7 @@ DEFINE_CODES(16)
                                 uint element, uint now, __global FIRST_MOMENT *m,                  \
                                 __global SECOND_MOMENT *v)                                         \
     {                                                                                              \
-        const real##S first = first_of##S(LOAD(0, m)), second = second_of##S(LOAD(0, v));          \
+        const real##S first = m_of##S(LOAD(0, m)), second = v_of##S(LOAD(0, m), LOAD(0, v));       \
         STORE(decayed_step##S(LOAD(0, parameter), state.epsilon, distance, first, second), 0,      \
               parameter);                                                                          \
         if (state.keeps)                                                                           \

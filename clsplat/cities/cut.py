@@ -42,6 +42,7 @@ REQUESTED = "asked"  # key of partition.json for the PartitionOptions
 JOINT = "joint"  # key of partition.json for the options of the joint training, where there is one
 LEAST_VISITS = 0.01  # of a view that was assigned to a block
 INVISIBLE = -1e4  # the logit of an opacity that is not drawn
+MOST_KEPT = 9  # arrays of opacities that stay on the device
 BLOCKS_TOGETHER = 4  # that are written at the same time, so that few are in memory
 
 
@@ -187,7 +188,8 @@ def drop_changes(device: Device, gaussians: Gaussians, scene: Scene,
     is of the size of the renders, and the gaussians are in its frame.
 
     `tests` : (the index of a view, which gaussians are kept), all of a view in turn, as it is
-    rendered once in full."""
+    rendered once in full; the same array tells again what is kept in another view, so each must
+    live as long as the tests."""
     renderer = Renderer(device, gaussians.sh_degree, scene.near_plane)
     rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
 
@@ -197,13 +199,18 @@ def drop_changes(device: Device, gaussians: Gaussians, scene: Scene,
         return renderer.render(rows, renderer.pack(camera), camera.width, camera.height,
                                gaussians.sh_degree).image
 
+    logits: dict[int, Array] = {}  # of the arrays that tell what is kept, as far as there is room
     for index, of_view in groupby(tests, itemgetter(0)):
         image = render(index, rows)
         whole = device.upload(to_bytes(255 * image.download()))
         itself = _ssim(image, whole)
         for _, keep in of_view:
-            logits = np.where(keep, gaussians.opacity_logits, np.float32(INVISIBLE))
-            without = {**rows, "opacity_logits": device.upload(logits)}
+            if id(keep) not in logits:
+                if len(logits) == MOST_KEPT:
+                    logits.clear()
+                logits[id(keep)] = device.upload(
+                    np.where(keep, gaussians.opacity_logits, np.float32(INVISIBLE)))
+            without = {**rows, "opacity_logits": logits[id(keep)]}
             yield itself - _ssim(render(index, without), whole)
 
 

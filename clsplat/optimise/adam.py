@@ -28,7 +28,7 @@ from clsplat.constants import (
 from clsplat.device import Array, ArraySpec, Device, Either, Forms, Kernel, each
 from clsplat.device.kernel import Argument
 from clsplat.gaussians import LEARNED
-from clsplat.optimise.moments import AS_REALS, FIRST_CODED, SECOND_CODED
+from clsplat.optimise.moments import AS_CODES, AS_REALS
 from clsplat.optimise.options import OptimiseOptions
 from clsplat.primitives.gather import gather
 from clsplat.rendering.blend import Defines
@@ -109,7 +109,7 @@ class DeviceAdam:
     """
 
     RECORDS = True  # whether a step can be recorded
-    STORED = AS_REALS, AS_REALS  # m and v
+    STORED = AS_REALS
     BUILD: Defines = ()
     NUMBERS = ("now", "before", "first", "correction",
                *(f"rate_{field.name}" for field in LEARNED))
@@ -129,7 +129,7 @@ class DeviceAdam:
         count, harmonics, _ = rows["sh_rest"].shape
         m, v = ({"small": ArraySpec((count, SMALL_COLUMNS), dtype),
                  "rest": ArraySpec((count, 3 * harmonics), dtype)}
-                for dtype, _, _ in cls.STORED)
+                for dtype in cls.STORED.dtypes)
         return m, v, {"last_step": ArraySpec((count,), np.uint32),
                               "coefficients": ArraySpec((CATCH_UP_EVERY, LAZY_TERMS)),
                               "no_gradient": ArraySpec((1, 1, 3)),
@@ -258,8 +258,7 @@ class DeviceAdam:
 
     def download(self) -> tuple[HostArrays, HostArrays]:
         """m and v in host memory, by field, each row after its last step."""
-        small, rest = ([stored.values(moments[name].download())
-                        for stored, moments in zip(self.STORED, (self._m, self._v))]
+        small, rest = (self.STORED.moments(self._m[name].download(), self._v[name].download())
                        for name in ("small", "rest"))
         count = len(small[0])
         return tuple({  # type: ignore[return-value]  # two of them
@@ -274,12 +273,13 @@ class DeviceAdam:
         Where their number is another, the parameters must change to it, too.
         """
         count = len(m["positions"])
-        for own, source, stored in zip((self._m, self._v), (m, v), self.STORED):
-            own.clear()  # so that new moments take the memory of the old ones
-            own["small"] = self.device.upload(stored.codes(np.column_stack([
-                source[field.name].reshape(count, -1) for field in SMALL])))
-            own["rest"] = self.device.upload(
-                stored.codes(source["sh_rest"].reshape(count, 3 * self.harmonics)))
+        small = [np.column_stack([source[field.name].reshape(count, -1) for field in SMALL])
+                 for source in (m, v)]
+        rest = [source["sh_rest"].reshape(count, 3 * self.harmonics) for source in (m, v)]
+        for name, moments in (("small", small), ("rest", rest)):
+            for own, codes in zip((self._m, self._v), self.STORED.codes(*moments)):
+                del own[name]  # so that new moments take the memory of the old ones
+                own[name] = self.device.upload(codes)
         self._start_lag(count)
 
     def lag(self) -> dict[str, NDArray[Any]]:
@@ -299,5 +299,5 @@ class CodedAdam(DeviceAdam):
     """Adam with its moments on the device, each in three bytes in place of eight
     (cl/include/moments.h)."""
 
-    STORED = FIRST_CODED, SECOND_CODED
+    STORED = AS_CODES
     BUILD: Defines = (("CODED", 1),)

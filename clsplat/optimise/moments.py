@@ -2,13 +2,13 @@
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-Floats = NDArray[np.floating]
-SECOND_SHIFT, SECOND_BASE = 22, 33  # as in the header
+M_SHIFT, V_SHIFT, V_BITS = 20, 19, 4  # as in the header
+Pair = tuple[NDArray[Any], NDArray[Any]]
 
 
 class Stored(NamedTuple):
@@ -16,41 +16,32 @@ class Stored(NamedTuple):
 
     Attributes
     ----------
-    dtype : of the arrays on the device; None is its real type.
-    values : arrays of that type -> floats.
-    codes : floats -> an array of that type, the nearest code of each.
+    dtypes : of the two arrays on the device; None is its real type.
+    moments : two arrays of these types -> m and v.
+    codes : m and v -> two arrays of these types.
     """
 
-    dtype: DTypeLike | None
-    values: Callable[[NDArray[np.generic]], Floats]
-    codes: Callable[[Floats], NDArray[np.generic]]
+    dtypes: tuple[DTypeLike | None, DTypeLike | None]
+    moments: Callable[[NDArray[Any], NDArray[Any]], Pair]
+    codes: Callable[[NDArray[Any], NDArray[Any]], Pair]
 
 
-def first_values(codes: NDArray[np.generic]) -> Floats:
-    """The values float32 of codes uint16 of m."""
-    return (codes.astype(np.uint32) << np.uint32(16)).view(np.float32)
+def coded_moments(first: NDArray[Any], second: NDArray[Any]) -> Pair:
+    """m and v, float32, of codes uint16 and uint8."""
+    first, second = first.astype(np.uint32), second.astype(np.uint32)
+    m = first >> np.uint32(V_BITS) << np.uint32(M_SHIFT)
+    v = (second << np.uint32(V_BITS) | first & np.uint32((1 << V_BITS) - 1)) << np.uint32(V_SHIFT)
+    return m.view(np.float32), v.view(np.float32)
 
 
-def first_codes(values: Floats) -> NDArray[np.generic]:
-    """The nearest codes uint16 of values of m."""
-    bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
-    return ((bits + np.uint32(1 << 15)) >> np.uint32(16)).astype(np.uint16)
+def moment_codes(m: NDArray[Any], v: NDArray[Any]) -> Pair:
+    """The nearest codes, uint16 and uint8, of moments."""
+    bits_m, bits_v = (
+        (np.ascontiguousarray(values, np.float32).view(np.uint32) + np.uint32(1 << shift - 1))
+        >> np.uint32(shift) for values, shift in ((m, M_SHIFT), (v, V_SHIFT)))
+    first = bits_m << np.uint32(V_BITS) | bits_v & np.uint32((1 << V_BITS) - 1)
+    return first.astype(np.uint16), (bits_v >> np.uint32(V_BITS)).astype(np.uint8)
 
 
-def second_values(codes: NDArray[np.generic]) -> Floats:
-    """The values float32 of codes uint8 of v."""
-    bits = (codes.astype(np.uint32) + np.uint32(SECOND_BASE)) << np.uint32(SECOND_SHIFT)
-    return np.where(codes == 0, np.float32(0), bits.view(np.float32))
-
-
-def second_codes(values: Floats) -> NDArray[np.generic]:
-    """The nearest codes uint8 of values of v."""
-    bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
-    codes = (bits + np.uint32(1 << SECOND_SHIFT - 1)) >> np.uint32(SECOND_SHIFT)
-    codes = np.clip(codes, SECOND_BASE + 1, SECOND_BASE + 255) - SECOND_BASE
-    return np.where(bits == 0, 0, codes).astype(np.uint8)
-
-
-AS_REALS = Stored(None, lambda codes: codes, lambda values: values)  # type: ignore[arg-type, return-value]
-FIRST_CODED = Stored(np.uint16, first_values, first_codes)
-SECOND_CODED = Stored(np.uint8, second_values, second_codes)
+AS_REALS = Stored((None, None), lambda first, second: (first, second), lambda m, v: (m, v))
+AS_CODES = Stored((np.uint16, np.uint8), coded_moments, moment_codes)

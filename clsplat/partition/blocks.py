@@ -40,6 +40,7 @@ LEAST_SIDE = 64  # pixels
 MOST_SIZES = 8  # of a block's windows: each is a recorded frame, anew after every round of growth
 MOST_STEPS = 32  # of the sides of windows in a photo's longest side, so that few sizes differ
 MOST_COUNTED = 20_000  # gaussians for which shares are counted
+MOST_BOUNDED = 200_000  # gaussians of a block by which windows are found
 
 CLUSTER = 256  # points that a view is compared with together
 ROUNDING = 1e-6  # of the lengths compared: a cluster is never missed by it
@@ -218,6 +219,7 @@ def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequ
     """
     positions = gaussians.positions.astype(np.float64)
     positions = positions[region.reaches(world_of(scene, positions))]
+    positions = positions[::max(1, -(-len(positions) // MOST_BOUNDED))]
     windows, near = dict[str, Window](), scene.near_plane
     for view in views:
         size = np.array([view.camera.width, view.camera.height])

@@ -29,7 +29,7 @@ def noise_of(element, now):
     return h ^ (h >> np.uint32(15))
 
 
-def coded_moments(moments, grads, step, names):
+def coded_step(moments, grads, step, names):
     """(m, v) by field after a step in which all rows had gradients, as CodedAdam rounds them.
 
     moments: (m, v) before; names: the fields in the order of their columns, sh_rest among them."""
@@ -46,7 +46,7 @@ def coded_moments(moments, grads, step, names):
         m = moments[0][name] + 0.1 * (grads[name] - moments[0][name])
         v = moments[1][name] + 0.001 * (grads[name]**2 - moments[1][name])
         m, v = (values.astype(np.float32).view(np.uint32).astype(np.uint64) for values in (m, v))
-        rounded[0][name] = ((m + (noise >> 16) >> 16 << 16).astype(np.uint32)).view(np.float32)
-        code = (v + (noise & ((1 << 22) - 1))) >> 22
-        rounded[1][name] = ((code << 22).astype(np.uint32)).view(np.float32)
+        m, v = (m + (noise >> 12)) >> 20 << 20, (v + (noise & ((1 << 19) - 1))) >> 19 << 19
+        for moments_of, values in zip(rounded, (m, v)):
+            moments_of[name] = values.astype(np.uint32).view(np.float32)
     return rounded
