@@ -250,7 +250,9 @@ def _distances(points: NDArray[np.floating], neighbours: int
     k = min(neighbours, len(distinct) - 1)
     # in half of the time of a balanced one, and as good for queries
     tree = scipy.spatial.cKDTree(distinct, balanced_tree=False)
-    distance = tree.query(distinct, k=k + 1, workers=-1)[0][:, 1:]
+    distance = np.empty((len(distinct), k))
+    # in the order of the tree, where neighbours follow each other: in a third of the time
+    distance[tree.indices] = tree.query(distinct[tree.indices], k=k + 1, workers=-1)[0][:, 1:]
     return distance, inverse, MINIMUM_DISTANCE * size
 
 

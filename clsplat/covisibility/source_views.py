@@ -76,9 +76,15 @@ def observed_points(scene: Scene, views: Sequence[View]) -> list[NDArray[np.inte
     """
     if scene.observations is None:
         return [np.zeros(0, int) for _ in views]
-    point, view = _observed(scene.observations, scene.views, views)
+    return by_view(*_observed(scene.observations, scene.views, views), len(views))
+
+
+def by_view(point: NDArray[np.integer], view: NDArray[np.integer], views: int
+            ) -> list[NDArray[np.integer]]:
+    """The points that each of so many views sees, from pairs of a point and a view, in their order.
+    """
     point = point[np.argsort(view, kind="stable")]
-    return np.split(point, np.cumsum(np.bincount(view, minlength=len(views)))[:-1])
+    return np.split(point, np.cumsum(np.bincount(view, minlength=views))[:-1])
 
 
 def photos_of_a_point(scene: Scene, views: Sequence[View]) -> float:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.covisibility.source_views import choose_source_views, visibility
+from clsplat.covisibility.source_views import by_view, choose_source_views, visibility
 from clsplat.device import Array, Device, Reading
 from clsplat.io.ahead import called_ahead
 from clsplat.scene import Scene, View
@@ -135,8 +135,8 @@ def _depth_ranges(views: Sequence[View], points: Floats, point: NDArray[np.integ
     """For each view the depths of the nearest and the farthest plane; None where too few sparse
     points show. For the other arguments see `visibility`."""
     result: list[tuple[float, float] | None] = []
-    for number, view in enumerate(views):
-        _, depth = view.camera.project(points[point[seen_by == number]])
+    for view, seen in zip(views, by_view(point, seen_by, len(views))):
+        _, depth = view.camera.project(points[seen])
         depth = depth[depth > 0]
         near, far = (np.percentile(depth, (1, 99)) * BEYOND if len(depth) >= LEAST_SEEN
                      else (0.0, 0.0))
@@ -238,8 +238,7 @@ def _sparse(scene: Scene, views: Sequence[View], points: Floats, point: NDArray[
     """The sparse points; for the other arguments see `visibility`."""
     sizes = np.full(len(scene.points), np.inf)
     if len(points) == len(scene.points):  # not a sample of them
-        for number, view in enumerate(views):
-            seen = point[seen_by == number]
+        for view, seen in zip(views, by_view(point, seen_by, len(views))):
             _, depth = view.camera.project(points[seen])
             np.minimum.at(sizes, seen, np.maximum(depth, 0) / np.mean(view.camera.focal))
     known = np.isfinite(sizes) & (sizes > 0)

@@ -12,12 +12,16 @@ from clsplat.training.loop import SAVE_SECONDS, SAVE_SHARE, Training
 from tests.data.tiny_training import CITY, trained
 
 
-@pytest.mark.parametrize("elapsed, took, saves", [
-    (SAVE_SECONDS - 0.1, 0.0, False), (SAVE_SECONDS, 0.0, True), (SAVE_SECONDS, 1.0, True),
-    (SAVE_SECONDS + 9, 2.0, False), (2 / SAVE_SHARE, 2.0, True)])
-def test_every_half_minute_but_not_for_most_of_the_time(elapsed, took, saves):
+@pytest.mark.parametrize("elapsed, took, gaussians, saves", [
+    (SAVE_SECONDS - 0.1, 0.0, 1000, False), (SAVE_SECONDS, 0.0, 1000, True),
+    (SAVE_SECONDS, 1.0, 1000, True), (SAVE_SECONDS + 9, 2.0, 1000, False),
+    (2 / SAVE_SHARE, 2.0, 1000, True), (180.0, 0.0, 10**7, False), (190.0, 0.0, 10**7, True),
+    (180.0, 2.0, 10**7, True)])
+def test_every_half_minute_but_not_for_most_of_the_time(elapsed, took, gaussians, saves):
+    """The first one is expected to be written at a gigabyte a second."""
     training = SimpleNamespace(
-        session=SimpleNamespace(options=SimpleNamespace(checkpoint_every="auto")),
+        session=SimpleNamespace(options=SimpleNamespace(checkpoint_every="auto", sh_degree=3),
+                                step=SimpleNamespace(count=gaussians)),
         clock=SimpleNamespace(elapsed=lambda: 100.0 + elapsed), _saved_at=100.0,
         _save_seconds=took)
     assert Training._saves(training) == saves
