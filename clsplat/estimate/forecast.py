@@ -17,9 +17,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from clsplat.device import Device
+from clsplat.device import Device, Forms
 from clsplat.estimate.trial_steps import SizedPhotos, TrialSteps, sampled, sized, spread_out
-from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.gaussians import LEARNED
 from clsplat.options import seconds_of
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
@@ -40,7 +40,8 @@ COUNTED_VIEWS = 48  # of which that with most splats decides the memory of a fra
 TIMED_SECONDS = 0.2  # least time of a measurement, in which steps do not wait for the device
 REPEATS = 3  # of a measurement; the median counts
 MOST_GROWTH = 4  # largest multiple of the initial gaussians in a trial step
-MOST_GAUSSIANS = 200_000  # in a trial step
+MOST_GAUSSIANS = Forms(item=200_000, group=4_000_000)  # in a trial step: fewer do not fill a GPU
+MOST_SAMPLED = 100_000  # dense points that stand for all of them
 MOST_PIXELS = 2e6  # of an image in a trial step; larger images are extrapolated
 DETAIL_VIEWS = 8  # of whose photos the detail is measured
 DENSE_A_PIXEL = 1.6  # points, of the photos as they are searched for them: 1.4 and 2.0 on two sets
@@ -95,12 +96,16 @@ def forecast(prepared: PreparedScene, device: Device, progress: SilentProgress |
     """
     progress = progress or SilentProgress()
     options, scene, views = prepared.options, prepared.scene, prepared.train_views
-    gaussians = (sampled(scene, _dense_count(prepared), options.sh_degree)
-                 if options.init == "dense" else initial_gaussians(scene, options))
+    if options.init == "dense":
+        count = _dense_count(prepared)
+        gaussians = sampled(scene, min(count, MOST_SAMPLED), options.sh_degree)
+    else:
+        gaussians = initial_gaussians(scene, options)
+        count = gaussians.count
     detail = functools.cache(functools.partial(photo_detail, views))
     progress.phase("planning: how many gaussians")
-    segments = simulate(prepared.schedule(gaussians, options), detail)
-    trials = take_trials(device, prepared, gaussians.count, segments, progress)
+    segments = simulate(prepared.schedule(gaussians, options, count), detail)
+    trials = take_trials(device, prepared, count, segments, progress)
     seconds = predicted_seconds(trials, views, segments)
     ends = [(segment.level, segment.gaussians,
              predicted_seconds(trials, views, [replace(segment, steps=1)]))
@@ -110,8 +115,9 @@ def forecast(prepared: PreparedScene, device: Device, progress: SilentProgress |
     if options.time_budget:
         budget = seconds_of(options.time_budget)
         options = laid_over(options, max(1, int(options.iterations * budget / seconds)))
-        segments, seconds = simulate(prepared.schedule(gaussians, options), detail), budget
-    memory = predicted_memory(device, prepared, gaussians, segments, trials)
+        segments = simulate(prepared.schedule(gaussians, options, count), detail)
+        seconds = budget
+    memory = predicted_memory(device, prepared, gaussians.rows, count, segments, trials)
     waits = len({segment.level for segment in segments}) > 1 or not memory.resident
     return Forecast(options.iterations, largest(segments), memory, seconds, ends,
                     _photos(device, views, memory.resident, waits))
@@ -145,21 +151,23 @@ def take_trials(device: Device, prepared: PreparedScene, gaussians: int,
     device memory beside the model and the photos."""
     regularises = any(segment.regularises for segment in segments)
     trials = []
-    for level, count in tried_sizes(prepared.train_views, gaussians, segments):
+    for level, count in tried_sizes(prepared.train_views, gaussians, segments,
+                                    MOST_GAUSSIANS.of(device)):
         progress.phase(f"planning: timing steps at {size_at(level)}, {count:,} gaussians")
         trials.append(_take_trial(device, prepared, level, count, regularises))
     return np.array(trials)
 
 
-def tried_sizes(views: Sequence[View], count: int,
-                segments: Sequence[Segment]) -> list[tuple[float, int]]:
+def tried_sizes(views: Sequence[View], count: int, segments: Sequence[Segment],
+                most: int) -> list[tuple[float, int]]:
     """The (level, gaussians) of trial steps.
 
-    These are the first and the last level of the run, each with `count` gaussians and with more.
-    Two smaller sizes replace images of more than MOST_PIXELS; they show the growth with pixels.
+    These are the first and the last level of the run, each with `count` gaussians and with more, at
+    `most`. Two smaller sizes replace images of more than MOST_PIXELS; they show the growth with
+    pixels.
     """
-    few = min(count, MOST_GAUSSIANS // MOST_GROWTH)
-    many = min(max(segments[-1].gaussians, 2 * few), MOST_GROWTH * few, MOST_GAUSSIANS)
+    few = min(count, most // MOST_GROWTH)
+    many = min(max(segments[-1].gaussians, 2 * few), MOST_GROWTH * few, most)
     first, last = segments[0].level, segments[-1].level
     most_first = max(segment.gaussians for segment in segments if segment.level == first)
     smaller = math.sqrt(pixels(views, 1.0) / MOST_PIXELS)
@@ -242,14 +250,14 @@ def photo_detail(views: Sequence[View], level: float) -> float:
     return float(np.mean(lost))
 
 
-def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussians,
+def predicted_memory(device: Device, prepared: PreparedScene, names: Iterable[str], count: int,
                      segments: Sequence[Segment], trials: NDArray[np.float64]) -> Memory:
     """Predict the device memory of a training; DeviceError if an array would be too large.
 
     Parameters
     ----------
     device, prepared : of the training.
-    gaussians : the initial ones.
+    names, count : the fields and the number of the initial gaussians.
     segments : the simulated run.
     trials : see `take_trials`.
     """
@@ -257,10 +265,11 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
     photos = {level: photo_bytes(device, prepared.train_views, level)
               for level in {segment.level for segment in segments}}
     total, steps = 0, 0
-    model = _model_bytes(device, prepared, gaussians.rows, gaussians.count)
+    names = list(names)
+    model = _model_bytes(device, prepared, names, count)
     for segment in segments:
         nbytes, _ = photos[segment.level]
-        grown = _model_bytes(device, prepared, gaussians.rows, segment.gaussians)
+        grown = _model_bytes(device, prepared, names, segment.gaussians)
         if grown != model:  # each array is replaced in turn
             total = max(total, nbytes + max(sum(grown[:place + 1]) + sum(model[place:])
                                             for place in range(len(model))))

@@ -132,7 +132,8 @@ def test_trial_steps_foretell_what_a_training_allocates(float_device, options):
     segments = [Segment(1, 2.0, 3000, regularises), Segment(1, 1.0, 5000, regularises)]
     trials = module.take_trials(device, prepared, 3000, segments, SilentProgress())
     assert len(trials) == 3 and trials[:, 2].all()
-    memory = module.predicted_memory(device, prepared, gaussians, segments, trials)
+    memory = module.predicted_memory(device, prepared, gaussians.rows, gaussians.count, segments,
+                                     trials)
     device.trim()
     assert device.memory_bytes < 10_000  # trials give back what they take
     photos = Photos(device, prepared.train_views)
@@ -230,11 +231,11 @@ def sized_views(width, height):
 def test_large_photos_are_timed_at_two_smaller_sizes(levels):
     segments = [Segment(10, level, 50_000, False) for level in levels]
     for views in (sized_views(5472, 4088), sized_views(54720, 40880)):
-        sizes = tried_sizes(views, 1000, segments)
+        sizes = tried_sizes(views, 1000, segments, 200_000)
         images = {round(pixels(views, level)) for level, _ in sizes}
         assert max(images) < 1.001 * module.MOST_PIXELS and len(images) == 2
         assert min(images) < 0.26 * max(images)  # far enough apart to extrapolate from
-    small = tried_sizes(sized_views(1600, 1195), 1000, segments)
+    small = tried_sizes(sized_views(1600, 1195), 1000, segments, 200_000)
     assert {level for level, _ in small} == set(levels)
 
 

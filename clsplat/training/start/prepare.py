@@ -93,10 +93,12 @@ class PreparedScene:
         return typical_depth(cameras, self.scene.points) / float(
             np.median([camera.focal for camera in cameras]))
 
-    def schedule(self, gaussians: Gaussians, options: ScheduledOptions | None = None) -> Schedule:
-        """A new schedule for these initial gaussians; `options` replace those of the scene."""
+    def schedule(self, gaussians: Gaussians, options: ScheduledOptions | None = None,
+                 count: int = 0) -> Schedule:
+        """A new schedule for these initial gaussians; `options` replace those of the scene, and
+        `count` is their number, if those given are a part of them."""
         options = options or self.options
-        facts = replace(self.decisions.facts, count=gaussians.count)
+        facts = replace(self.decisions.facts, count=count or gaussians.count)
         for part in self.given:
             facts = part.facts(facts, self.scene, self.train_views, gaussians)
         return schedule_of(options.schedule)(options, facts)
