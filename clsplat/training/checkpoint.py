@@ -14,6 +14,7 @@ from clsplat.io.runs.run import CHECKPOINT, OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
 from clsplat.options import TrainOptions
 from clsplat.training.budget import Deadline
+from clsplat.training.model import checkpoint_bytes
 from clsplat.training.recorder import Clock, broken
 from clsplat.training.session import Session
 
@@ -23,6 +24,7 @@ Saved = tuple[Arrays, dict[str, Any]]  # the arrays and the state
 KINDS = "row", "m", "v", "adam", "statistics"  # of the arrays that no part has
 STATISTICS = "grad_norm_sum", "seen_count"
 REALS = (np.float32, np.float64)  # precisions of devices
+SAVED_A_SECOND = 1e9  # bytes
 
 
 class Checkpoint:
@@ -54,6 +56,11 @@ class Checkpoint:
             "skipped": {"total": skipped}, "initial_count": session.schedule.facts.count,
             "budget": self.deadline and self.deadline.state()}
         return arrays, state
+
+    def expected_seconds(self) -> float:
+        """About how long it takes to write the first one."""
+        session = self.session
+        return checkpoint_bytes(session.step.count, session.options.sh_degree) / SAVED_A_SECOND
 
     def save(self) -> None:
         """Write the checkpoint, while the clock is paused; where `taken` raises InputError, the

@@ -37,7 +37,6 @@ from clsplat.training.budget import Deadline, evaluation_seconds
 from clsplat.training.checkpoint import Checkpoint, damaged, saved_gaussians
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
-from clsplat.training.model import checkpoint_bytes
 from clsplat.training.part import Part
 from clsplat.training.photos import THREADS, size_note
 from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
@@ -48,7 +47,6 @@ from clsplat.training.step import Measured
 
 SAVE_SECONDS = 30.0  # between checkpoints: so much work a kill may cost
 SAVE_SHARE = 1 / 20  # of the time, at most, that checkpoints take
-SAVED_A_SECOND = 1e9  # bytes; of the first checkpoint, before its time is known
 
 
 def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
@@ -328,10 +326,8 @@ class Training:
         every = self.session.options.checkpoint_every
         if not is_auto(every):
             return self._due(every)
-        if (waited := self.clock.elapsed() - self._saved_at) < SAVE_SECONDS:
-            return False
-        size = checkpoint_bytes(self.session.step.count, self.session.options.sh_degree)
-        return waited * SAVE_SHARE >= (self._save_seconds or size / SAVED_A_SECOND)
+        takes = self._save_seconds or self.checkpoint.expected_seconds()
+        return self.clock.elapsed() - self._saved_at >= max(SAVE_SECONDS, takes / SAVE_SHARE)
 
     def _due(self, every: int) -> bool:
         return every > 0 and self.session.iteration % every == 0

@@ -89,7 +89,7 @@ def test_means_are_right_however_small_the_steps_are(float_device):
         assert m[name].mean() == pytest.approx(3e-4, rel=0.01)
     every = np.concatenate([values.ravel() for values in v.values()])
     assert every.mean() == pytest.approx(true, rel=0.02)
-    assert 0.01 < every.std() / true < 0.1
+    assert 0.01 < every.std() / true < 0.2
 
 
 def test_coded_steps_lead_to_the_same_place(float_device):

@@ -20,8 +20,10 @@ from tests.data.tiny_training import CITY, trained
 def test_every_half_minute_but_not_for_most_of_the_time(elapsed, took, gaussians, saves):
     """The first one is expected to be written at a gigabyte a second."""
     training = SimpleNamespace(
-        session=SimpleNamespace(options=SimpleNamespace(checkpoint_every="auto", sh_degree=3),
-                                step=SimpleNamespace(count=gaussians)),
+        session=(session := SimpleNamespace(
+            options=SimpleNamespace(checkpoint_every="auto", sh_degree=3),
+            step=SimpleNamespace(count=gaussians))),
+        checkpoint=Checkpoint(None, session, None, None, ""),
         clock=SimpleNamespace(elapsed=lambda: 100.0 + elapsed), _saved_at=100.0,
         _save_seconds=took)
     assert Training._saves(training) == saves
