@@ -138,7 +138,7 @@ def test_a_training_has_at_most_42_flags():
     ("iterations = 0", "'iterations' expects auto or a whole number of at least 1, got 0"),
     ("sh_degree = 4", "'sh-degree' expects a whole number from 0 to 3, got 4"),
     ("ssim-weight = nan", "'ssim-weight' expects a number from 0 to 1"),
-    ("engine = 'gpu'", "'engine' expects one of auto, device, numpy"),
+    ("engine = 'gpu'", "'engine' expects one of auto, device, coded, numpy"),
     ("background = [1, 1]", "'background' expects three numbers"),
     ("iterations = ", "not valid TOML"), ("downscale = inf", "'downscale' expects a finite number"),
     ("background = 7", "option 'background' expects three numbers from 0 to 1, got "),

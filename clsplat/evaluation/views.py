@@ -41,6 +41,7 @@ PANELS = ("photo", "render", "render after the colour fit", "its error")  # of P
 MOST_SAMPLED = 24  # training views from which to choose pictures, where no view is held out
 SCORING_BYTES = 3 << 29  # of host memory, for views that are scored at the same time
 SCORED_PIXEL_BYTES = 160  # measured, of the colour fit or of FLIP
+SCORED_PIXEL_SECONDS = 2e-6  # measured, of a core, with METRICS
 SAMPLED_SIDE = 1600  # pixels of their photos' longer sides at most; a page shows fewer
 Metric = Callable[[Image, Image, Valid], float]  # of an image and its photo
 METRICS: Mapping[str, Metric] = {"psnr": psnr, "ssim": ssim}  # of a training
@@ -134,6 +135,12 @@ def scored_at_once(views: Sequence[View]) -> int:
     """How many views are scored at the same time, each in a thread: as many as fit the memory."""
     pixels = max((view.camera.width * view.camera.height for view in views), default=1)
     return max(1, min(os.cpu_count() or 1, SCORING_BYTES // (SCORED_PIXEL_BYTES * pixels)))
+
+
+def expected_seconds(views: Sequence[View]) -> float:
+    """About how long it takes to score renders of these views by METRICS."""
+    pixels = sum(view.camera.width * view.camera.height for view in views)
+    return SCORED_PIXEL_SECONDS * pixels / scored_at_once(views)
 
 
 def pictures_of(renderer: ModelRenderer, rows: Any, degree: int, test: Sequence[View],

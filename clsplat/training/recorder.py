@@ -10,7 +10,7 @@ import numpy as np
 from clsplat.config.option import is_auto
 from clsplat.device import Device
 from clsplat.errors import InputError, StopTraining
-from clsplat.evaluation.views import evaluate_views
+from clsplat.evaluation.views import evaluate_views, expected_seconds
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.scores import disturbed, is_upheaval, main_key
 from clsplat.training.progress import SilentProgress
@@ -21,7 +21,7 @@ REPORT_EVERY = 50  # steps between progress lines; each waits for the device
 LOG_EVERY = 100
 EVALUATIONS = 8  # in a run, by default
 EVALUATION_SHARE = 1 / 8  # of the time, so far or of a budget, that evaluations may take
-FIRST_SECONDS = 0.5  # assumed of an evaluation before the first one
+FIRST_SECONDS = 0.5  # expected of the first evaluation, at least
 # Share of the rows between two records above which training stops. Good runs skip none, and a few
 # broken gaussians cause some in a million. A skipped gaussian does not change, and its neighbours
 # learn to compensate: with one in a hundred the result is no longer the scene.
@@ -168,7 +168,8 @@ class Evaluator:
         self.session, self.clock, self.recorder = session, clock, recorder
         self.evaluated_at: int | None = None  # step of the latest evaluation of the run
         self.per_view: list[dict[str, Any]] | None = None  # its scores, if this process made it
-        self.latest_seconds, self._all_seconds = FIRST_SECONDS, 0.0
+        self.latest_seconds = max(FIRST_SECONDS, expected_seconds(session.test_views))
+        self._all_seconds = 0.0
         self._is_begun = False  # whether the head of the scores was shown
 
     def is_due(self) -> bool:

@@ -36,3 +36,15 @@ def test_an_evaluation_is_a_line_of_columns_with_one_number(result, upheavals, h
     told.session.iteration, told.session.model.count = 1_000_000, 20_000_000
     line, = told._lines(result)  # the head is shown once
     assert len(line) < 80
+
+
+@pytest.mark.parametrize("width, views, elapsed, due", [
+    (320, 4, 5.0, True), (1152, 200, 5.0, False), (1152, 200, 3600.0, True)])
+def test_the_first_waits_until_its_time_is_a_small_share(monkeypatch, width, views, elapsed, due):
+    """Of a made survey of 1600 photos the first evaluation took 45 of 120 seconds."""
+    monkeypatch.setattr("os.cpu_count", lambda: 16)
+    view = SimpleNamespace(camera=SimpleNamespace(width=width, height=width * 3 // 4))
+    session = SimpleNamespace(test_views=views * [view], iteration=1000, options=SimpleNamespace(
+        eval_every="auto", iterations=8000))
+    evaluator = Evaluator(session, SimpleNamespace(elapsed=lambda: elapsed), None)
+    assert evaluator.is_due() == due

@@ -18,7 +18,7 @@ from tools.synth.texture import Texture
 
 CELL = 1.0  # world units, the width of a cell of the grid
 SLACK = 1e-3  # world units by which solids are larger in the grid, for rounding
-CAMERA_REALS = 19  # of a packed camera: position, rotation, focal length, centre, gains
+SURVEY_REALS = 19  # of a packed camera: position, rotation, focal length, centre, gains
 PAINT_REALS = 16  # of the colours and measures of a box
 MOST_OBSERVATIONS = 30  # of a point
 # the standard deviation of lightness at which points begin to be detected, and up to which more are
@@ -33,11 +33,11 @@ CITY: dict[str, Any] = {
     "paint": ("real", "K", PAINT_REALS), "parks": ("uchar", "X", "Y"),
     "lattice": ("real", *3 * (texture.LATTICE,))}
 DRAW = Kernel(SOURCE, "draw", each("width height"), width="uint", height="uint", **CITY,
-              camera=("real", CAMERA_REALS), image=("uchar", "H", "W", 3))
+              camera=("real", SURVEY_REALS), image=("uchar", "H", "W", 3))
 OBSERVE = Kernel(
     SOURCE, "observe", each("count"), count="uint", view_count="uint", first="uint", seed="int",
     **CITY, points=("real", "N", 3), primitives=("uint", "N"),
-    cameras=("real", "V", CAMERA_REALS), width="real", height="real", border="real",
+    cameras=("real", "V", SURVEY_REALS), width="real", height="real", border="real",
     found=("uint", "N"), slots=("uint", "N", MOST_OBSERVATIONS), colours=("uchar", "N", 3))
 
 
@@ -162,7 +162,7 @@ def _defines(paints: Texture) -> tuple[tuple[str, object], ...]:
         ("SAMPLES_PER_SIDE", raycast.SAMPLES_PER_SIDE), ("DISPLAY_GAMMA", raycast.DISPLAY_GAMMA),
         ("LATTICE", texture.LATTICE), ("EDGE", float(paints.edge)), ("OCTAVES", paints.octaves),
         ("COARSEST_GRAIN", texture.COARSEST_GRAIN), ("PIXEL", float(paints.detail)),
-        ("CAMERA_REALS", CAMERA_REALS), ("PAINT_REALS", PAINT_REALS),
+        ("SURVEY_REALS", SURVEY_REALS), ("PAINT_REALS", PAINT_REALS),
         ("MOST_OBSERVATIONS", MOST_OBSERVATIONS), ("DETECTION_RATE", DETECTION_RATE),
         ("CONTRAST_LOW", CONTRAST_LOW), ("CONTRAST_RANGE", CONTRAST_RANGE),
         ("PATCH_WIDTH", PATCH_WIDTH), ("PATCH_GAPS", PATCH_GAPS),

@@ -38,7 +38,7 @@ typedef struct {
 #define NO_HIT ((real)INFINITY)
 #define SUN ((real3)(SUN_X, SUN_Y, SUN_Z))
 
-// A camera of CAMERA_REALS numbers: position, rotation, focal length, centre, gains.
+// A camera of SURVEY_REALS numbers: position, rotation, focal length, centre, gains.
 inline real3 from_camera(__global const real *camera, real3 v)
 {
     return v.x * row3(camera, 3) + v.y * row3(camera, 6) + v.z * row3(camera, 9);
@@ -240,7 +240,7 @@ __kernel void observe(uint count, uint view_count, uint first, int seed, CITY_AR
         for (uint view = 0; view < view_count; view++) {
             if (hash(number, seed, (int)view) >= (real)DETECTION_RATE)
                 continue;
-            __global const real *camera = cameras + (ulong)view * CAMERA_REALS;
+            __global const real *camera = cameras + (ulong)view * SURVEY_REALS;
             const real3 ray = point - row3(camera, 0);
             const real depth = dot(ray, row3(camera, 9));
             const real x = dot(ray, row3(camera, 3)) / depth * camera[12] + camera[14];
