@@ -87,14 +87,20 @@ class FrozenRows(Stage):
         self._scene = session.scene
 
     def rows_changed(self, model: Model, growth: Growth | None) -> None:
-        """Freeze anew the rows that are new, or all."""
-        known = np.zeros(0, bool)
-        if growth is not None and model.frozen is not None:
-            known = model.frozen.download()[growth.source[:growth.unchanged]] > 0
-        positions, log_scales = (model.rows[name].download()[len(known):]
+        """Freeze rows that are new; without growth those that have left what the block trains, as
+        frozen ones have not moved."""
+        frozen, moved = np.zeros(model.count, bool), np.ones(model.count, bool)
+        if model.frozen is not None and growth is not None:
+            frozen[:growth.unchanged] = model.frozen.download()[
+                growth.source[:growth.unchanged]] > 0
+            moved[:growth.unchanged] = False
+        elif model.frozen is not None:
+            frozen = model.frozen.download() > 0
+            moved = ~frozen
+        positions, log_scales = (model.rows[name].download()[moved]
                                  for name in ("positions", "log_scales"))
-        trains = trainable(self._scene, self.region, positions, log_scales)
-        model.frozen = model.device.upload(np.concatenate([known, ~trains]).astype(np.uint32))
+        frozen[moved] = ~trainable(self._scene, self.region, positions, log_scales)
+        model.frozen = model.device.upload(frozen.astype(np.uint32))
         self._model = model
 
     def state(self) -> State:

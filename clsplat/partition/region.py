@@ -64,6 +64,14 @@ class Space:
                 u[~np.isfinite(u)] = np.nan
             return u.T
 
+    @property
+    def most_change(self) -> float:
+        """By how much a step of one world unit changes a coordinate at most, and a hair more.
+
+        The contraction g(L) u, g = (2 - 1 / L) / L, changes by at most g + L |g'| = 4 / L - 3 / L^2
+        <= 4/3 where u does by 1, and contracted coordinates are a quarter of that."""
+        return float((0.334 if self.contracted else 1.001) / self.half.min())
+
     def world(self, coordinates: ArrayLike) -> NDArray[np.float64]:
         """World points [N, 3] of coordinates [N, 3]; contracted ones lie within (0, 1)."""
         u = np.asarray(coordinates, np.float64)
@@ -202,10 +210,14 @@ class Region:
         `spread` : [N] or one number, world units; points at this distance along u and v must lie in
         the enlarged cell too."""
         grown, points = self.grown(self.margin), np.asarray(points, np.float64)
-        reached = grown.owns(points)
+        coordinates = self.space.to(points)
+        reached = grown.holds(coordinates)
         spread = np.broadcast_to(spread, len(points))
-        for step in (*self.space.rotation[:2], *-self.space.rotation[:2]) if spread.any() else ():
-            wide = np.flatnonzero(reached & (spread > 0))
+        # the others are so far inside that no step of their spread leads out
+        inside = np.minimum.reduce(np.minimum(coordinates - grown.low, grown.high - coordinates).T)
+        near = np.flatnonzero(reached & (spread > 0) & ~(inside > spread * self.space.most_change))
+        for step in (*self.space.rotation[:2], *-self.space.rotation[:2]):
+            wide = near[reached[near]]
             reached[wide] = grown.owns(points[wide] + spread[wide, None] * step)
         return reached
 

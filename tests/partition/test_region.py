@@ -90,6 +90,22 @@ def test_a_cell_reaches_points_whose_spread_lies_in_it():
         True, True, False, False, False]
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_points_far_inside_need_no_steps(seed):
+    """As if the four steps were taken from every point; of spreads of all sizes."""
+    rng, where = np.random.default_rng(seed), space(contracted=seed % 2 == 1, seed=seed)
+    low = Region(where).side * rng.uniform(0, 0.4, 3) - (0 if where.contracted else 1)
+    cell = Region(where, low, low + rng.uniform(0.1, 0.5, 3), 0.2)
+    around = low + rng.uniform(-0.2, 0.7, (5000, 3))
+    points = where.world(around.clip(0.01, 0.99) if where.contracted else around)
+    spread = where.half.min() * np.exp(rng.uniform(-6, 0, 5000)) * (rng.random(5000) < 0.9)
+    expected = cell.reaches(points)
+    for step in (*where.rotation[:2], *-where.rotation[:2]):
+        expected &= cell.reaches(points + spread[:, None] * step)
+    assert np.array_equal(cell.reaches(points, spread), expected)
+    assert 10 < expected.sum() < cell.reaches(points).sum()
+
+
 def test_the_map_has_x_and_y_where_z_is_up():
     points = UTM + RNG.normal(0, 20, (50, 3))
     turned = Space(Rotation.from_euler("z", 1).as_matrix(), UTM, np.ones(3))
