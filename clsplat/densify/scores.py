@@ -19,6 +19,7 @@ from clsplat.rendering.project import Rows
 LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601
 MAP_WEIGHT = 50.0  # of each of the two maps of pixel weights
 VIEW_WEIGHT = 50.0
+MOST_WEIGHED = 400  # views by which it is counted how many pixels show a gaussian
 COEFFICIENTS = {
     "gradient": 25.0, "opacity": 100.0, "depth": 5.0, "radius": 10.0, "volume": 25.0,
     "distance": 50.0, "weighted": 10.0, "pixels": 0.1, "weight": 50.0}
@@ -88,16 +89,18 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
 def blending_weights(renderer: Renderer, rows: Rows, cameras: Iterable[SizedCamera],
                      sh_degree: int) -> NDArray[np.float64]:
     """float64[N], how many pixels show each gaussian: its weights alpha T in blending, summed over
-    the pixels of the views of some cameras."""
-    weights = np.zeros(len(rows["positions"]))
-    for camera, width, height in cameras:
+    the pixels of the views of some cameras; of more than MOST_WEIGHED an estimate, by every n-th.
+    """
+    weights, cameras = np.zeros(len(rows["positions"])), list(cameras)
+    chosen = cameras[::-(-len(cameras) // MOST_WEIGHED)]
+    for camera, width, height in chosen:
         frame = renderer.render(rows, camera, width, height, sh_degree)
         nothing = renderer.device.zeros((height, width))  # no weighted sum is needed
         weights[frame.visible.download()] += contribution(
             renderer.device, frame, nothing).download()[:, 1]
         del frame, nothing
         renderer.device.trim()  # or blocks of the many sizes of frames add up
-    return weights
+    return weights * (len(cameras) / max(1, len(chosen)))
 
 
 def pixel_weights(image: NDArray[np.floating], photo: NDArray[np.uint8]) -> NDArray[np.float64]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import sobel
 
+from clsplat.densify import scores
 from clsplat.densify.scores import blending_weights, pixel_weights, taming_scores
 from tests import cases
 from tests.checks import close
@@ -119,7 +120,7 @@ def test_pixels_weigh_by_error_and_edges():
 
 
 @pytest.mark.parametrize("name", [NAME, "opacities"])
-def test_blending_weights_share_what_a_view_covers(double_device, name):
+def test_blending_weights_share_what_a_view_covers(double_device, monkeypatch, name):
     """Of all gaussians in two views together: twice the opacity of one, summed over its pixels."""
     case = cases.gaussians(name)
     renderer, rows, frame = render(double_device, case)
@@ -129,3 +130,7 @@ def test_blending_weights_share_what_a_view_covers(double_device, name):
     assert weights.sum() == pytest.approx(2 * covered.sum(), rel=1e-9)
     unseen = np.setdiff1d(np.arange(len(weights)), frame.visible.download())
     assert not weights[unseen].any() and np.count_nonzero(weights) > len(weights) / 4
+    # of three views two are rendered, the first and the last, and stand for all
+    monkeypatch.setattr(scores, "MOST_WEIGHED", 2)
+    fewer = blending_weights(renderer, rows, [camera, None, camera], case["degree"])
+    assert np.allclose(fewer, 1.5 * weights, rtol=1e-12)
