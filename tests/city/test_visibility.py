@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from clsplat.cities import cut
 from clsplat.cities.cut import drop_changes
 from clsplat.evaluation.metrics import ssim
 from clsplat.evaluation.views import opened, render_view
@@ -32,12 +33,14 @@ def images(device, gaussians, scene, index, keep):
             for model in (gaussians, some)]
 
 
+@pytest.mark.parametrize("kept", [9, 4])
 @pytest.mark.one_in(2)
-def test_changes_are_those_of_the_images(float_device, scene, gaussians):
-    """The loss pads the images with zeros."""
+def test_changes_are_those_of_the_images(float_device, scene, gaussians, monkeypatch, kept):
+    """The loss pads the images with zeros; what is kept stays on the device, if there is room."""
+    monkeypatch.setattr(cut, "MOST_KEPT", kept)
     x = np.sort(gaussians.positions[:, 0])
-    tests = [(index, gaussians.positions[:, 0] <= x[-last]) for index in (9, 17)
-             for last in (1, 10, 30, 300, 1500, 4000)]
+    keeps = [gaussians.positions[:, 0] <= x[-last] for last in (1, 10, 30, 300, 1500, 4000)]
+    tests = [(index, keep) for index in (9, 17) for keep in keeps]
     found = list(drop_changes(float_device, gaussians, scene, tests))
     exact = [1 - ssim(*(np.pad(image, ((5, 5), (5, 5), (0, 0))) for image in images(
         float_device, gaussians, scene, *test))) for test in tests]
