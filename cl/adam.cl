@@ -87,8 +87,9 @@ inline void add_terms(uint i, uint now, real8 rates, real correction,
 }
 
 // |m| / sqrt(v) of whatever gradients, at most (1 - beta1) / sqrt((1 - beta2)(1 - beta1^2 / beta2))
-// by Cauchy and Schwarz, 7.27, and a hair more; times C it bounds how far a column may drift. A coded
-// v has been rounded many times, and may be a half of it: four standard deviations, as measured.
+// by Cauchy and Schwarz, 7.27, and a hair more; times C it bounds how far a column may drift. A
+// coded v has been rounded many times, and may be a half of it: four standard deviations, as
+// measured.
 #if CODED
 #define MAX_MOMENTUM_RATIO 10.5
 #else
