@@ -188,8 +188,7 @@ def drop_changes(device: Device, gaussians: Gaussians, scene: Scene,
     is of the size of the renders, and the gaussians are in its frame.
 
     `tests` : (the index of a view, which gaussians are kept), all of a view in turn, as it is
-    rendered once in full; the same array tells again what is kept in another view, so each must
-    live as long as the tests."""
+    rendered once in full; the same array in tests of several views is uploaded once."""
     renderer = Renderer(device, gaussians.sh_degree, scene.near_plane)
     rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
 
@@ -199,7 +198,9 @@ def drop_changes(device: Device, gaussians: Gaussians, scene: Scene,
         return renderer.render(rows, renderer.pack(camera), camera.width, camera.height,
                                gaussians.sh_degree).image
 
-    logits: dict[int, Array] = {}  # of the arrays that tell what is kept, as far as there is room
+    # by the number of the array that tells what is kept, which stays in memory with it, and is then
+    # no other's
+    logits: dict[int, tuple[NDArray[np.bool_], Array]] = {}
     for index, of_view in groupby(tests, itemgetter(0)):
         image = render(index, rows)
         whole = device.upload(to_bytes(255 * image.download()))
@@ -208,9 +209,9 @@ def drop_changes(device: Device, gaussians: Gaussians, scene: Scene,
             if id(keep) not in logits:
                 if len(logits) == MOST_KEPT:
                     logits.clear()
-                logits[id(keep)] = device.upload(
+                logits[id(keep)] = keep, device.upload(
                     np.where(keep, gaussians.opacity_logits, np.float32(INVISIBLE)))
-            without = {**rows, "opacity_logits": logits[id(keep)]}
+            without = {**rows, "opacity_logits": logits[id(keep)][1]}
             yield itself - _ssim(render(index, without), whole)
 
 
