@@ -31,6 +31,7 @@
 #include "vector.h"
 #include "counts.h"
 #include "moments.h"
+#include "rest.h"
 #define SH_STRIDE (3 * SH_REST)
 #define SH_COLUMNS (3 * SH_ACTIVE)
 enum {
@@ -101,14 +102,14 @@ typedef char the_cutoff_is_high_enough[ALPHA_STEPS <= 255 ? 1 : -1];
 
 // Whether the image may show a stale row: at least what cull (cull.cl) finds once the row
 // has caught up, from its stale position in the camera's frame, its stale logarithm of its largest
-// scale, and the sums C of positions and scales, which bound how far these may drift. A vreal at a
-// time.
-inline vmask may_be_seen(__global const real *camera, vreal x, vreal y, vreal z, vreal log_scale,
-                         vreal position_sum, vreal scale_sum)
+// scale, and the sums C of positions and scales, which bound how far these may drift. `margin`,
+// pixels, are added to the image on every side. A vreal at a time.
+inline vmask may_be_seen(__global const real *camera, real margin, vreal x, vreal y, vreal z,
+                         vreal log_scale, vreal position_sum, vreal scale_sum)
 {
     __global const real *focal = camera + CAMERA_FOCAL, *centre = camera + CAMERA_CENTRE;
     __global const real *size = camera + CAMERA_SIZE, *ratios = camera + CAMERA_RATIOS;
-    const real near = camera[CAMERA_NEAR], low_pass = camera[CAMERA_LOW_PASS];
+    const real near = camera[CAMERA_NEAR] / (1 + margin), low_pass = camera[CAMERA_LOW_PASS];
     const vreal max_drift = (real)(1.7321 * MAX_MOMENTUM_RATIO) * position_sum;
     const vreal nearest = z - max_drift;
     const vreal place_x = x * (1 / z), place_y = y * (1 / z);
@@ -119,15 +120,21 @@ inline vmask may_be_seen(__global const real *camera, vreal x, vreal y, vreal z,
     const vreal reach_x = closeness_x * scale, reach_y = closeness_y * scale;
     const vreal extent_x =
         sqrt((real)MOST_CUTOFF * (reach_x * reach_x * (1 + ratio_x * ratio_x) + low_pass)) +
-        closeness_x * max_drift * (1 + fabs(place_x));
+        closeness_x * max_drift * (1 + fabs(place_x)) + margin;
     const vreal extent_y =
         sqrt((real)MOST_CUTOFF * (reach_y * reach_y * (1 + ratio_y * ratio_y) + low_pass)) +
-        closeness_y * max_drift * (1 + fabs(place_y));
+        closeness_y * max_drift * (1 + fabs(place_y)) + margin;
     const vreal mean_x = focal[0] * place_x + centre[0], mean_y = focal[1] * place_y + centre[1];
     const vmask inside = TO_MASK(mean_x + extent_x > 0) & TO_MASK(mean_y + extent_y > 0) &
                          TO_MASK(mean_x - extent_x < size[0]) &
                          TO_MASK(mean_y - extent_y < size[1]);
     return TO_MASK(z + max_drift > near) & (TO_MASK(nearest <= near) | inside);
+}
+
+// The sum C of a field by which a row that is not frozen may have drifted.
+inline real drift_sum(uint last, uint now, uint field, __global const real *coefficients)
+{
+    return last == now ? 0 : coefficients[(last % CATCH_UP_EVERY) * LAZY_TERMS + field];
 }
 
 // Whether a row is stale. A frozen one stays, and has missed nothing.
@@ -170,12 +177,18 @@ inline LazyState lazy_state(uint last, uint now, bool keeps, __global const real
     __global const real *restrict grad_log_scales,                                                 \
     __global const real *restrict grad_quaternions, __global const real *restrict directions,      \
     __global const real *restrict grad_sh_rest, PARAMETERS_AND_MOMENTS,                            \
-    __global uint *restrict last_step, __global real *restrict coefficients
+    __global uint *restrict last_step, __global real *restrict coefficients REST_ARGUMENTS
 #define ADAM_CATCH_UP_ARGUMENTS                                                                    \
     uint count, uint now, uint keeps, uint has_frozen, uint by_camera,                             \
     __global const uint *restrict counts, __global const real *restrict camera,                    \
     __global const uint *restrict frozen, __global const real *restrict coefficients,              \
-    PARAMETERS_AND_MOMENTS, __global uint *restrict last_step
+    PARAMETERS_AND_MOMENTS, __global uint *restrict last_step REST_ARGUMENTS
+// flags: uint[N], 1 for rows that the image may show, and pixels `margin` beside it.
+#define ADAM_SEEN_ARGUMENTS                                                                        \
+    uint count, uint now, real margin, __global const real *restrict camera,                       \
+    __global const real *restrict coefficients, __global const real *restrict positions,           \
+    __global const real *restrict log_scales, __global const uint *restrict last_step,             \
+    __global uint *restrict flags
 #define PARAMETERS_AND_MOMENTS                                                                     \
     __global real *restrict positions, __global real *restrict sh_constant,                        \
     __global real *restrict sh_rest, __global real *restrict opacity_logits,                       \

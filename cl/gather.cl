@@ -14,3 +14,11 @@ __kernel void gather(uint count, uint width, __global const uint *restrict indic
     FOR_EACH(i, (ulong)count * width)
         result[i] = rows[(ulong)indices[i / width] * width + i % width];
 }
+
+// result[indices[i], :] = rows[i, :], where no index comes twice
+__kernel void scatter(uint count, uint width, __global const uint *restrict indices,
+                      __global const ELEMENT *restrict rows, __global ELEMENT *restrict result)
+{
+    FOR_EACH(i, (ulong)count * width)
+        result[(ulong)indices[i / width] * width + i % width] = rows[i];
+}

@@ -13,6 +13,7 @@
 #include "projection.h"
 #include "harmonics.h"
 #include "counts.h"
+#include "rest.h"
 
 #ifndef MASKED
 #define MASKED 0
@@ -75,7 +76,7 @@ __kernel void project(__global const uint *restrict counts,
                       __global const real *restrict opacity_logits,
                       __global const real *restrict log_scales,
                       __global const real *restrict quaternions, __global real *restrict splats,
-                      __global uint *restrict depth_keys)
+                      __global uint *restrict depth_keys REST_ARGUMENTS)
 {
     GAUSSIANS_MEMORY
     FOR_EACH_GAUSSIAN(v, counts[COUNT_VISIBLE], LOAD_HARMONICS(counts[COUNT_VISIBLE])) {
@@ -171,7 +172,7 @@ __kernel void project_adjoint(
     __global real *restrict grad_log_scales, __global real *restrict grad_quaternions,
     __global real *restrict grad_means, __global uint *restrict active,
     __global uint *restrict skipped FROZEN_ARGUMENT STATISTICS_ARGUMENTS PHOTO_ARGUMENT
-        POSE_ARGUMENT FEATURES_ARGUMENT)
+        POSE_ARGUMENT FEATURES_ARGUMENT REST_ARGUMENTS)
 {
     GAUSSIANS_MEMORY
     const uint count = min(work, counts[COUNT_VISIBLE]);

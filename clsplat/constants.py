@@ -51,6 +51,7 @@ ADAM_EPSILON: Final = 1e-15  # Kerbl et al. (2023)
 SMALL_COLUMNS: Final = 14  # of a gaussian without the harmonics above the constant
 CATCH_UP_EVERY: Final = 100  # steps after which dense Adam moves the rows that no view saw, too
 LAZY_TERMS: Final = 8  # columns of the sums by which a row catches up (cl/adam.cl)
+PAGE_ROWS: Final = 1024  # rows whose harmonics come to the device and leave it together
 STEP_SPREAD: Final = 8  # work-items of the group form for a row that has a gradient
 CATCH_UP_SPREAD: Final = 2  # and for a row that may have to catch up
 

@@ -22,6 +22,10 @@ class OutOfDeviceMemory(DeviceError):
     """An array does not fit the device: memory was refused, or one buffer would be too large."""
 
 
+class TooFewPages(OutOfDeviceMemory):
+    """A view sees more than there is memory for, and nothing else can be given back for it."""
+
+
 class ShapeError(ClsplatError):
     """An array passed to a kernel has the wrong shape or type; the message names the argument."""
 

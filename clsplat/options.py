@@ -39,6 +39,8 @@ except ModuleNotFoundError:  # Python 3.10
 
 MOST_SECONDS = 366 * 24 * 3600.0  # in a time budget
 UNIT_SECONDS = {"s": 1, "m": 60, "h": 3600}
+UNIT_BYTES = {"GiB": 2**30, "MiB": 2**20, "GB": 10**9, "MB": 10**6}
+LEAST_BYTES = 2**24  # of a memory budget
 
 
 def seconds_of(text: str) -> float:
@@ -56,6 +58,20 @@ def seconds_of(text: str) -> float:
     if seconds > MOST_SECONDS:
         raise ValueError("at most a year")
     return seconds
+
+
+def bytes_of(text: str) -> int:
+    """Parse `--memory-budget`: a number of bytes with a unit of UNIT_BYTES, such as 6GiB.
+
+    Raises ValueError for anything else.
+    """
+    unit = next((unit for unit in UNIT_BYTES if text.endswith(unit)), None)
+    if unit is None:
+        raise ValueError
+    nbytes = float(text.removesuffix(unit)) * UNIT_BYTES[unit]
+    if not LEAST_BYTES <= nbytes < math.inf:
+        raise ValueError(f"at least {LEAST_BYTES >> 20}MiB")
+    return int(nbytes)
 
 
 @dataclass(frozen=True)
@@ -118,6 +134,11 @@ class RunOptions:
                            more=others, measured=True)
     device: str = option("auto", "Device", "auto, cpu, gpu, a number of `clsplat devices`, or part "
                          "of a name", affects="nothing", main=True)
+    memory_budget: str = option("", "Device", "memory of the device that a training may use, such "
+                                "as 6GiB; what does not fit waits in host memory, and the bytes of "
+                                "the result are the same; none: all of it", main=True,
+                                words={"none": ""}, check=bytes_of,
+                                expects="a size of at least 16MiB, such as 6GiB or 800MiB")
     form: str = option("auto", "Device", "form of the kernels: item suits CPUs, group suits GPUs; "
                        "they agree to rounding", choices=("auto", "item", "group"), flag=False)
 

@@ -126,11 +126,11 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
                 const uint place = element / SH_COLUMNS;
                 row[k] = live_rows[place];
                 column[k] = element % SH_COLUMNS;
-                const ulong moments = (ulong)row[k] * SH_STRIDE + column[k];
+                const ulong at = REST_ROW(row[k]) * SH_STRIDE + column[k];
                 __local const real *own = shared + place * (SH_ACTIVE + 3);
-                parameter[k] = sh_rest[(ulong)row[k] * SH_STRIDE + column[k]];
-                own_m[k] = m_of(m_rest[moments]);
-                own_v[k] = v_of(m_rest[moments], v_rest[moments]);
+                parameter[k] = sh_rest[at];
+                own_m[k] = m_of(m_rest[at]);
+                own_v[k] = v_of(m_rest[at], v_rest[at]);
                 g[k] = rank_one
                            ? own[column[k] / 3] * own[SH_ACTIVE + column[k] % 3]
                            : grad_sh_rest[(begin + live_places[place]) * SH_STRIDE + column[k]];
@@ -139,12 +139,12 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
             for (uint k = 0; k < REST_AT_ONCE; k++) {
                 if (i + k * size >= others)
                     continue;
-                const ulong moments = (ulong)row[k] * SH_STRIDE + column[k];
-                sh_rest[(ulong)row[k] * SH_STRIDE + column[k]] =
+                const ulong at = REST_ROW(row[k]) * SH_STRIDE + column[k];
+                sh_rest[at] =
                     stepped(parameter[k], g[k], rate_sh_rest, correction, own_m + k, own_v + k);
                 const uint noise = noise_of(REST_ELEMENT(row[k], column[k]), now);
-                m_rest[moments] = first_code(own_m[k], own_v[k], noise);
-                v_rest[moments] = second_code(own_v[k], noise);
+                m_rest[at] = first_code(own_m[k], own_v[k], noise);
+                v_rest[at] = second_code(own_v[k], noise);
             }
         }
 #endif
@@ -170,14 +170,14 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
             due = 0;
         barrier(CLK_LOCAL_MEM_FENCE);
         const ulong tested = begin + lane;
-        bool is_due = lane < part && tested < count &&
+        bool is_due = lane < part && tested < count && HAS_REST(tested) &&
                       is_stale(tested, now, keeps, has_frozen, frozen, last_step);
         if (is_due && by_camera) {
             const real3 p = to_camera(camera, vload3(tested, positions));
             const real3 scales = vload3(tested, log_scales);
             __global const real *c =
                 coefficients + (last_step[tested] % CATCH_UP_EVERY) * LAZY_TERMS;
-            is_due = may_be_seen(camera, p.x, p.y, p.z, max(scales.x, max(scales.y, scales.z)),
+            is_due = may_be_seen(camera, 0, p.x, p.y, p.z, max(scales.x, max(scales.y, scales.z)),
                                  c[LAZY_POSITIONS], c[LAZY_SCALES]);
         }
         if (is_due) {
@@ -248,29 +248,42 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
                 place[k] = element / SH_COLUMNS;
                 column[k] = element % SH_COLUMNS;
                 const uint row = due_rows[place[k]];
-                const ulong moments = (ulong)row * SH_STRIDE + column[k];
-                parameter[k] = sh_rest[(ulong)row * SH_STRIDE + column[k]];
-                first[k] = m_of(m_rest[moments]);
-                second[k] = v_of(m_rest[moments], v_rest[moments]);
+                const ulong at = REST_ROW(row) * SH_STRIDE + column[k];
+                parameter[k] = sh_rest[at];
+                first[k] = m_of(m_rest[at]);
+                second[k] = v_of(m_rest[at], v_rest[at]);
             }
 #pragma unroll
             for (uint k = 0; k < REST_AT_ONCE; k++) {
                 if (i + k * size >= others)
                     continue;
                 const uint row = due_rows[place[k]];
-                const ulong moments = (ulong)row * SH_STRIDE + column[k];
+                const ulong at = REST_ROW(row) * SH_STRIDE + column[k];
                 __local const real *own = due_states + place[k] * DUE_TERMS;
-                sh_rest[(ulong)row * SH_STRIDE + column[k]] = decayed_step(
+                sh_rest[at] = decayed_step(
                     parameter[k], own[DUE_EPSILON], own[LAZY_SH_REST], first[k], second[k]);
                 if (keeps) {
                     const uint noise = noise_of(REST_ELEMENT(row, column[k]), now);
                     const real decayed = second[k] * own[DUE_DECAY2];
-                    m_rest[moments] = first_code(first[k] * own[DUE_DECAY1], decayed, noise);
-                    v_rest[moments] = second_code(decayed, noise);
+                    m_rest[at] = first_code(first[k] * own[DUE_DECAY1], decayed, noise);
+                    v_rest[at] = second_code(decayed, noise);
                 }
             }
         }
 #endif
         barrier(CLK_LOCAL_MEM_FENCE);
+    }
+}
+
+__kernel void adam_seen(ADAM_SEEN_ARGUMENTS)
+{
+    FOR_EACH(row, count) {
+        const uint last = last_step[row];
+        const real3 p = to_camera(camera, vload3(row, positions));
+        const real3 scales = vload3(row, log_scales);
+        flags[row] = may_be_seen(camera, margin, p.x, p.y, p.z,
+                                 max(scales.x, max(scales.y, scales.z)),
+                                 drift_sum(last, now, LAZY_POSITIONS, coefficients),
+                                 drift_sum(last, now, LAZY_SCALES, coefficients)) != 0;
     }
 }

@@ -15,7 +15,8 @@
              v < end; v += PROJECT_GROUP)
 #define HARMONIC(k) vload3(k, sh_local + get_local_id(0) * SH_STRIDE)
 #define SUMS_OF(v, sum) __local const real *sum = sums_local + get_local_id(0) * SUMS
-#define LOAD_HARMONICS(count) load_harmonics(rows + first, (count) - first, sh_rest, sh_local)
+#define LOAD_HARMONICS(count)                                                                      \
+    load_harmonics(rows + first, (count) - first, sh_rest, sh_local REST_PASSED)
 #define LOAD_SUMS(count)                                                                           \
     load_sums(first, (count) - first, splat_counts, offsets, pair_grads, earlier, sums_local)
 
@@ -27,14 +28,14 @@ inline bool meet(void)
 
 // The active harmonics of the first PROJECT_GROUP of `count` gaussians.
 inline bool load_harmonics(__global const uint *rows, ulong count, __global const real *sh_rest,
-                           __local real *sh_local)
+                           __local real *sh_local REST_ARGUMENTS)
 {
 #if DEGREE > 0
     const uint number = min(count, (ulong)PROJECT_GROUP) * SH_COLUMNS;
 #pragma unroll 5
     for (uint i = get_local_id(0); i < number; i += PROJECT_GROUP)
         sh_local[i / SH_COLUMNS * SH_STRIDE + i % SH_COLUMNS] =
-            sh_rest[(ulong)rows[i / SH_COLUMNS] * (3 * SH_REST) + i % SH_COLUMNS];
+            sh_rest[REST_ROW(rows[i / SH_COLUMNS]) * (3 * SH_REST) + i % SH_COLUMNS];
 #endif
     return true;
 }

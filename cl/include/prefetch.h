@@ -17,8 +17,8 @@
     }
 #define PREFETCH_ROW(P, ROW, WIDTH) PREFETCH_SPAN((P) + (ulong)(ROW) * (WIDTH), WIDTH)
 
-// All parameters of a gaussian.
-inline void prefetch_gaussian(uint row, __global const real *positions,
+// All parameters of a gaussian, whose harmonics are in row `rest` (rest.h).
+inline void prefetch_gaussian(uint row, ulong rest, __global const real *positions,
                               __global const real *sh_constant, __global const real *sh_rest,
                               __global const real *opacity_logits, __global const real *log_scales,
                               __global const real *quaternions)
@@ -29,6 +29,6 @@ inline void prefetch_gaussian(uint row, __global const real *positions,
     PREFETCH(log_scales + 3ul * row);
     PREFETCH(quaternions + 4ul * row);
 #if DEGREE > 0
-    PREFETCH_ROW(sh_rest, row, 3 * SH_REST);
+    PREFETCH_ROW(sh_rest, rest, 3 * SH_REST);
 #endif
 }

@@ -52,23 +52,24 @@ DEFINE_UPDATE(16, 16, vload16, vstore16, convert_uint16(IOTA))
     for (; column < SH_COLUMNS; column++)                                                          \
         CALL(1, LOAD_ONE);
 
-inline void prefetch_row(uint row, __global const FIRST_MOMENT *m,
+inline void prefetch_row(uint row, ulong rest, __global const FIRST_MOMENT *m,
                          __global const SECOND_MOMENT *v, __global const FIRST_MOMENT *m_rest,
                          __global const SECOND_MOMENT *v_rest)
 {
     PREFETCH_ROW(m, row, SMALL_COLUMNS);
     PREFETCH_ROW(v, row, SMALL_COLUMNS);
 #if DEGREE > 0
-    PREFETCH_ROW(m_rest, row, SH_STRIDE);
-    PREFETCH_ROW(v_rest, row, SH_STRIDE);
+    PREFETCH_ROW(m_rest, rest, SH_STRIDE);
+    PREFETCH_ROW(v_rest, rest, SH_STRIDE);
 #endif
 }
 // Parameters and moments of a row.
 #define PREFETCH_ALL(ROW)                                                                          \
     {                                                                                              \
-        prefetch_gaussian(ROW, positions, sh_constant, sh_rest, opacity_logits, log_scales,        \
-                          quaternions);                                                            \
-        prefetch_row(ROW, m, v, m_rest, v_rest);                                                   \
+        const ulong its_rest = REST_ROW(ROW);                                                      \
+        prefetch_gaussian(ROW, its_rest, positions, sh_constant, sh_rest, opacity_logits,          \
+                          log_scales, quaternions);                                                \
+        prefetch_row(ROW, its_rest, m, v, m_rest, v_rest);                                         \
     }
 
 // Of small columns of a row: element, step and moments.
@@ -118,7 +119,7 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
         } else
             for (uint k = 0; k < SH_COLUMNS; k++)
                 g[k] = grad_sh_rest[i * SH_STRIDE + k];
-        const ulong to = (ulong)row * SH_STRIDE;
+        const ulong to = REST_ROW(row) * SH_STRIDE;
         EACH_WIDTH(STEP)
 #endif
     }
@@ -159,13 +160,14 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
                     coefficients + (last_step[first + i] % CATCH_UP_EVERY) * LAZY_TERMS;
                 position_sums[i] = c[LAZY_POSITIONS];
                 scale_sums[i] = c[LAZY_SCALES];
-                stale[i] = -is_stale(first + i, now, keeps, has_frozen, frozen, last_step);
+                stale[i] = -(HAS_REST(first + i) &&
+                             is_stale(first + i, now, keeps, has_frozen, frozen, last_step));
             }
             mask16 mask = convert_mask16(vload16(0, stale));
             if (by_camera) {
                 real16 x, y, z;
                 load_in_camera(camera, positions + 3ul * first, number, &x, &y, &z);
-                mask &= may_be_seen(camera, x, y, z, load_largest(log_scales + 3ul * first, number),
+                mask &= may_be_seen(camera, 0, x, y, z, load_largest(log_scales + 3ul * first, number),
                                     vload16(0, position_sums), vload16(0, scale_sums));
             }
             listed += list_rows(mask, first, number, due + listed);
@@ -178,11 +180,32 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
             catch_up_small(row, now, state, c, positions, sh_constant, opacity_logits, log_scales,
                            quaternions, m, v);
 #if DEGREE > 0
-            const ulong to = (ulong)row * SH_STRIDE;
+            const ulong to = REST_ROW(row) * SH_STRIDE;
             EACH_WIDTH(CATCH_UP)
 #endif
             if (keeps)
                 last_step[row] = now;
         }
+    }
+}
+
+__kernel void adam_seen(ADAM_SEEN_ARGUMENTS)
+{
+    FOR_EACH(block, (count + 15) / 16) {
+        const uint first = 16 * block, number = min(count - first, 16u);
+        real position_sums[16] = {0}, scale_sums[16] = {0};
+        for (uint i = 0; i < number; i++) {
+            position_sums[i] = drift_sum(last_step[first + i], now, LAZY_POSITIONS, coefficients);
+            scale_sums[i] = drift_sum(last_step[first + i], now, LAZY_SCALES, coefficients);
+        }
+        real16 x, y, z;
+        load_in_camera(camera, positions + 3ul * first, number, &x, &y, &z);
+        const mask16 seen =
+            may_be_seen(camera, margin, x, y, z, load_largest(log_scales + 3ul * first, number),
+                        vload16(0, position_sums), vload16(0, scale_sums));
+        int flagged[16];
+        STORE_MASK(seen, flagged);
+        for (uint i = 0; i < number; i++)
+            flags[first + i] = flagged[i] != 0;
     }
 }

@@ -4,10 +4,10 @@
 #define FOR_EACH_GAUSSIAN(v, count, LOADED)                                                        \
     FOR_EACH(v, count)                                                                             \
         if (soon = min(v + AHEAD, (ulong)(count) - 1), LOADED)
-#define HARMONIC(k) vload3((ulong)rows[v] * SH_REST + (k), sh_rest)
+#define HARMONIC(k) vload3(REST_ROW(rows[v]) * SH_REST + (k), sh_rest)
 #define LOAD_HARMONICS(count)                                                                      \
-    (prefetch_gaussian(rows[soon], positions, sh_constant, sh_rest, opacity_logits, log_scales,    \
-                       quaternions), true)
+    (prefetch_gaussian(rows[soon], REST_ROW(rows[soon]), positions, sh_constant, sh_rest,          \
+                       opacity_logits, log_scales, quaternions), true)
 #define LOAD_SUMS(count)                                                                           \
     (prefetch_pairs(offsets[soon] * (ulong)SUMS, splat_counts[soon] * (ulong)SUMS, pair_grads),    \
      true)

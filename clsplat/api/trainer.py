@@ -138,7 +138,7 @@ class Trainer:
                 values = values / np.float32(unit)
             elif name == "log_scales":
                 values = values - np.float32(np.log(unit))
-            model.rows[name].write(values)
+            model.write(name, values)
 
     def __iter__(self) -> Trainer:
         return self

@@ -16,6 +16,7 @@ from clsplat.report.model_page import filled, near_of, view_record
 from clsplat.report.page import full_name, script_json
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import latest_model
+from clsplat.training.model import CurrentRenderer
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
 
@@ -120,8 +121,8 @@ class TrainingView(ViewServer, SilentProgress):
         # gives its memory to the frame; an error of a step under way belongs to the training
         session.step.release()
         request.attempt(lambda: request.drawn(
-            session.renderer, session.model.current_rows(), session.options.sh_degree,
+            CurrentRenderer(session.renderer), session.model, session.options.sh_degree,
             session.scene.unit / self._unit))
-        session.device.trim()
+        session.step.release()
         self._drawn_until = time.perf_counter()
         self._seconds = self._drawn_until - begin

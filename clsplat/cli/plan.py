@@ -82,7 +82,7 @@ def _line(name: str, text: str) -> None:
 
 
 def _memory(forecast: Forecast, device: Device) -> str:
-    memory, available = forecast.memory, device.handle.global_mem_size
+    memory, available = forecast.memory, device.memory_limit
     text = (f"{memory.total / MIB:,.0f} MiB at most, of {available / MIB:,.0f}: "
             f"{forecast.gaussians:,} gaussians {memory.model / MIB:,.0f}, photos "
             f"{memory.photos / MIB:,.0f}, the rest for the step")

@@ -2,7 +2,7 @@
 weights by which they stay."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Protocol
 
 import numpy as np
@@ -61,15 +61,16 @@ class Statistics:
 
 
 def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
-                  sh_degree: int, ssim_weight: float, gradient: NDArray[np.floating]
-                  ) -> NDArray[np.float64]:
+                  sh_degree: int, ssim_weight: float, gradient: NDArray[np.floating],
+                  shown: Callable[[Array], Rows] | None = None) -> NDArray[np.float64]:
     """The scores float64[N] of gaussians, summed over about ten views; 0 where no view sees one.
 
     A view's score is its loss times a sum of terms, each a value over the median of its positive
     values times a coefficient. Where the publication is not specific: medians are over the
     gaussians that the view sees; edges are the gradient magnitude of Sobel; a constant map has no
     weight; the distance from the mean is summed over the pixels. `gradient` is float[N], mean
-    screen gradients; `ssim_weight` is the share of D-SSIM in the loss.
+    screen gradients; `ssim_weight` is the share of D-SSIM in the loss. `shown` returns all rows,
+    with those harmonics that a packed camera sees; None: `rows` have them.
     """
     with np.errstate(over="ignore"):  # an infinity makes an opacity of 0, which is right
         opacity = 1 / (1 + np.exp(-rows["opacity_logits"].download().astype(np.float64)))
@@ -77,7 +78,8 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
     scores = np.zeros(len(gradient))
     for view in views:
         photo, (_, height, width) = view.photo, view.photo.shape
-        frame = renderer.render(rows, view.camera, width, height, sh_degree)
+        frame = renderer.render(shown(view.camera) if shown else rows, view.camera, width, height,
+                                sh_degree)
         loss, visible, of_view = _seen(renderer.device, frame, photo, ssim_weight)
         values = {"gradient": gradient[visible], "opacity": opacity[visible],
                   "volume": volume[visible], **of_view}
@@ -86,15 +88,15 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[ScoredView],
     return scores
 
 
-def blending_weights(renderer: Renderer, rows: Rows, cameras: Iterable[SizedCamera],
-                     sh_degree: int) -> NDArray[np.float64]:
+def blending_weights(renderer: Renderer, rows: Rows, cameras: Iterable[SizedCamera]
+                     ) -> NDArray[np.float64]:
     """float64[N], how many pixels show each gaussian: its weights alpha T in blending, summed over
     the pixels of the views of some cameras; of more than MOST_WEIGHED an estimate, by every n-th.
     """
     weights, cameras = np.zeros(len(rows["positions"])), list(cameras)
     chosen = cameras[::-(-len(cameras) // MOST_WEIGHED)]
     for camera, width, height in chosen:
-        frame = renderer.render(rows, camera, width, height, sh_degree)
+        frame = renderer.render(rows, camera, width, height, 0)  # colours have no weight
         nothing = renderer.device.zeros((height, width))  # no weighted sum is needed
         weights[frame.visible.download()] += contribution(
             renderer.device, frame, nothing).download()[:, 1]

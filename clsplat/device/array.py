@@ -67,10 +67,15 @@ class Array:
             raise ShapeError(f"cannot reshape {self.shape} to {shape}")
         return Array(self.device, self.block, shape, self.dtype)
 
-    def as_bytes(self) -> Array:
-        """The same memory as uint8, of which the last axis counts more."""
+    def viewed(self, dtype: DTypeLike) -> Array:
+        """The same memory as elements of another type, of which the last axis counts more or less.
+        """
         *axes, last = self.shape
-        return Array(self.device, self.block, (*axes, last * self.dtype.itemsize), np.uint8)
+        new = np.dtype(dtype)
+        if last * self.dtype.itemsize % new.itemsize:
+            raise ShapeError(f"cannot view {self.shape} of {self.dtype} as {new}")
+        return Array(self.device, self.block, (*axes, last * self.dtype.itemsize // new.itemsize),
+                     new)
 
     def copied(self) -> Array:
         """A persistent Array with the same values."""
@@ -106,18 +111,50 @@ class Array:
 
 class Reading:
     """A copy of an Array's values at one point of the queue, which is on its way to the host: to
-    begin it does not wait."""
+    begin it does not wait. `host`, as of `pinned`, receives it; None: new memory."""
 
-    def __init__(self, array: Array) -> None:
-        self._host: NDArray[Any] = np.empty(array.shape, array.dtype)
+    def __init__(self, array: Array, host: NDArray[Any] | None = None) -> None:
+        self._host = np.empty(array.shape, array.dtype) if host is None else host
         self._event = cl.enqueue_copy(array.device.queue, self._host, array.buffer,
                                       is_blocking=False)
         array.device.queue.flush()
 
     def values(self) -> NDArray[Any]:
         """The values; waits until they are there."""
-        self._event.wait()
+        self.wait()
         return self._host
+
+    def wait(self) -> None:
+        """Wait until the values are there."""
+        self._event.wait()
+
+
+class Writing:
+    """Host values on their way into an Array: to begin it does not wait. The values, as of
+    `pinned`, must not change before `wait` returns."""
+
+    def __init__(self, array: Array, host: NDArray[Any]) -> None:
+        if host.shape != array.shape or host.dtype != array.dtype:
+            raise ShapeError(f"cannot write {host.shape} of {host.dtype} into {array.shape} of "
+                             f"{array.dtype}")
+        self._host = host
+        self._event = cl.enqueue_copy(array.device.queue, array.buffer, host, is_blocking=False)
+
+    def wait(self) -> None:
+        """Wait until the values are no longer needed."""
+        self._event.wait()
+
+
+def pinned(device: Device, shape: tuple[int, ...]) -> NDArray[np.uint32]:
+    """uint32 in host memory that a device reads and writes at full speed, as it is never paged out.
+    """
+    flags: Any = cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR
+    buffer = cl.Buffer(device.context, flags, max(1, 4 * math.prod(shape)))
+    mode: Any = cl.map_flags.READ | cl.map_flags.WRITE
+    dtype: Any = np.uint32
+    host: Any = cl.enqueue_map_buffer(device.queue, buffer, mode, 0, shape, dtype)[0]
+    mapped: NDArray[np.uint32] = host  # which keeps the buffer
+    return mapped
 
 
 class Block:

@@ -47,6 +47,7 @@ class Device:
     item_runs, group_size, scan_group, bucket : as for `tuning_of`, as far as the device allows.
     adjoint_group : lanes of a group of the blend adjoint, a multiple of `wave`.
     largest_buffer : bytes.
+    memory_limit : bytes that arrays may take together; at first all memory of the device.
     peak_bytes : the largest value that `memory_bytes` had whenever an array was made.
     build_seconds : time for which launches waited for compilers so far.
     launches : kernels and fills that were enqueued so far.
@@ -67,6 +68,7 @@ class Device:
         self.capabilities = probe_capabilities(self.context, handle)
         self.compute_units = handle.max_compute_units
         self.largest_buffer = handle.max_mem_alloc_size
+        self.limit_memory()
         self.wave = probe_wave(self.context, handle)
         tuning = tuning_of("cpu" if self.is_cpu else "gpu", self.wave)
         most_items = handle.max_work_group_size
@@ -77,7 +79,8 @@ class Device:
         # a lane owns a pixel of a tile, which is smaller where groups are; the item form's is fixed
         self.tile = tuning["tile"] if self.form == "item" or most_items >= tuning["tile"]**2 else 8
         # an immediate allocation fails now, and not at a launch
-        self._pool = Arena(cl.tools.ImmediateAllocator(self.queue))
+        immediate = cl.tools.ImmediateAllocator(self.queue)
+        self._pool = Arena(lambda size: immediate(self._limited(size)))
         self._persistent_bytes = 0  # of the arrays that are still alive
         self.peak_bytes = 0
         self._kernels: dict[tuple[Kernel, Defines, Defines], cl.Kernel] = {}
@@ -127,6 +130,11 @@ class Device:
         self._filled(array, 0)
         return array
 
+    def limit_memory(self, nbytes: int | None = None) -> None:
+        """Let arrays take at most so many bytes together; None: all memory of the device."""
+        has: int = self.handle.global_mem_size
+        self.memory_limit = has if nbytes is None else min(nbytes, has)
+
     def trim(self) -> None:
         """Give back the memory that is kept for short-lived arrays and not in use."""
         self._pool.free_held()
@@ -152,8 +160,20 @@ class Device:
         self.peak_bytes = max(self.peak_bytes, self.memory_bytes)
         return array
 
+    def _limited(self, size: int) -> int:
+        """The size of a new buffer, for which there is room below the limit."""
+        if self.memory_bytes + size > self.memory_limit:
+            self.trim()
+        if self.memory_bytes + size > self.memory_limit:
+            raise OutOfDeviceMemory(
+                f"{self.name}: {TOO_LARGE}: no memory for {size >> 20} MiB more "
+                f"({self.memory_bytes >> 20} of {self.memory_limit >> 20} MiB in use): use a "
+                "larger --memory-budget, --max-gaussians or -r")
+        return size
+
     def _new_block(self, size: int) -> Block:
-        block = Block(cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size), self._freed)
+        block = Block(cl.Buffer(self.context, cl.mem_flags.READ_WRITE, self._limited(size)),
+                      self._freed)
         self._persistent_bytes += size
         return block
 

@@ -136,7 +136,7 @@ def _dense_count(prepared: PreparedScene) -> int:
 def _photos(device: Device, views: Sequence[View], resident: bool, waits: bool) -> str:
     size = 3 * sum(v.camera.width * v.camera.height for v in views) / MIB
     place = "it" if size * MIB <= photo_store.IN_MEMORY_BYTES else "a file beside the run"
-    allowed = photo_store.DEVICE_SHARE * device.handle.global_mem_size / MIB
+    allowed = photo_store.DEVICE_SHARE * device.memory_limit / MIB
     return (f"{'resident' if resident else 'streamed'}: {size:,.0f} MiB at full size, "
             f"{allowed:,.0f} may stay on the device; reading takes up to "
             f"{photo_store.reading_bytes(views) / MIB:,.0f} of the host's memory"
@@ -290,7 +290,7 @@ def photo_bytes(device: Device, views: Sequence[View], level: float) -> tuple[in
     """Device bytes of the photos at a level, and whether they stay on the device; where they are
     read at each use, those of the largest one."""
     sizes = [photo_store.photo_array(view).nbytes(device.real) for view in at_level(views, level)]
-    stay = sum(sizes) <= photo_store.DEVICE_SHARE * device.handle.global_mem_size
+    stay = sum(sizes) <= photo_store.DEVICE_SHARE * device.memory_limit
     return sum(sizes) if stay else max(sizes), stay
 
 

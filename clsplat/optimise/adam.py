@@ -25,14 +25,15 @@ from clsplat.constants import (
     SH_C0,
     SMALL_COLUMNS,
 )
-from clsplat.device import Array, ArraySpec, Device, Either, Forms, Kernel, each
+from clsplat.device import Array, ArraySpec, Device, Either, Forms, Kernel, Only, each
 from clsplat.device.kernel import Argument
 from clsplat.gaussians import LEARNED
 from clsplat.optimise.moments import AS_CODES, AS_REALS
 from clsplat.optimise.options import OptimiseOptions
+from clsplat.optimise.pages import Pages
 from clsplat.primitives.gather import gather
 from clsplat.rendering.blend import Defines
-from clsplat.rendering.project import FieldGradients, Gradients
+from clsplat.rendering.project import FieldGradients, Gradients, paged_defines
 
 LAG = ("last_step", "coefficients", "is_current")  # what checkpoints keep of lazy rows
 HostArrays = dict[str, NDArray[np.floating]]  # field name -> [N, *row shape]
@@ -41,6 +42,7 @@ POSITION_DECAY = 0.01  # share of the rate of positions left at the last step (K
 # photos in a step, of which this share is left at the end, and sizes, turns and colours by a factor
 AVERAGED_PIXELS, AVERAGED_DECAY, AVERAGED_FACTOR = 0.1, 0.1, 3.0
 
+MOMENTS_OF_REST = "m_rest", "v_rest"  # of the harmonics above the constant, by their kernels' names
 SMALL = tuple(field for field in LEARNED if field.name != "sh_rest")  # fields of the small columns
 _COLUMNS = {field.name: slice(end - field.width(0), end) for field, end in zip(
     SMALL, accumulate(field.width(0) for field in SMALL))}
@@ -54,9 +56,10 @@ def _moments(m: str, v: str, *shape: str | int) -> dict[str, Either]:
 
 _SMALL_MOMENTS = _moments("m", "v", "N", SMALL_COLUMNS)
 _ROWS: dict[str, Argument | Either] = dict(
-    positions=("real", "N", 3), sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3),
+    positions=("real", "N", 3), sh_constant=("real", "N", 3), sh_rest=("real", "R", "K", 3),
     opacity_logits=("real", "N"), log_scales=("real", "N", 3), quaternions=("real", "N", 4),
-    **_SMALL_MOMENTS, **_moments("m_rest", "v_rest", "N", "S"), last_step=("uint", "N"))
+    **_SMALL_MOMENTS, **_moments("m_rest", "v_rest", "R", "S"), last_step=("uint", "N"))
+_PAGED = dict(places=Only("PAGED", ("uint", "N")), slots=Only("PAGED", ("uint", "Q")))
 _COUNTS = dict(counts=("uint", FRAME_COUNTS))
 _COEFFICIENTS = dict(coefficients=("real", CATCH_UP_EVERY, LAZY_TERMS))
 STEP = Kernel(
@@ -66,11 +69,15 @@ STEP = Kernel(
     rows=("uint", "V"), grad_positions=("real", "V", 3), grad_colours=("real", "V", 3),
     grad_opacity_logits=("real", "V"), grad_log_scales=("real", "V", 3),
     grad_quaternions=("real", "V", 4), directions=("real", "V", 3),
-    grad_sh_rest=("real", "G", "H", 3), **_ROWS, **_COEFFICIENTS)
+    grad_sh_rest=("real", "G", "H", 3), **_ROWS, **_COEFFICIENTS, **_PAGED)
 CATCH_UP = Kernel(
     "adam.cl", "adam_catch_up", Forms(each("count"), each("count CATCH_UP_SPREAD")), count="uint",
     now="uint", keeps="uint", has_frozen="uint", by_camera="uint", **_COUNTS, camera=("real", "C"),
-    frozen=("uint", "F"), **_COEFFICIENTS, **_ROWS)
+    frozen=("uint", "F"), **_COEFFICIENTS, **_ROWS, **_PAGED)
+SEEN = Kernel("adam.cl", "adam_seen", Forms(each("count/16"), each("count")), count="uint",
+              now="uint", margin="real", camera=("real", "C"), **_COEFFICIENTS,
+              positions=("real", "N", 3), log_scales=("real", "N", 3), last_step=("uint", "N"),
+              flags=("uint", "N"))
 CLEAR = Kernel("adam.cl", "adam_clear", each("count"), count="uint", begin="uint", end="uint",
                **_SMALL_MOMENTS)
 
@@ -104,8 +111,9 @@ def corrections(step: int) -> tuple[float, float]:
 class DeviceAdam:
     """Adam with its moments on the device.
 
-    `rows` are the parameters, field name -> real[N, *row shape];
-    `steps` is the number of the last step; `is_current`: no row lags behind it.
+    `rows` are the parameters, field name -> real[N, *row shape]; `steps` is the number of the last
+    step; `is_current`: no row lags behind it. `pages`, if given, have `sh_rest` of the rows and its
+    moments; the rows then have `places` and `slots` of these.
     """
 
     RECORDS = True  # whether a step can be recorded
@@ -114,11 +122,13 @@ class DeviceAdam:
     NUMBERS = ("now", "before", "first", "correction",
                *(f"rate_{field.name}" for field in LEARNED))
 
-    def __init__(self, device: Device, rows: Mapping[str, Array]) -> None:
-        self.device = device
+    def __init__(self, device: Device, rows: Mapping[str, Array], pages: Pages | None = None
+                 ) -> None:
+        self.device, self.pages = device, pages
         self.harmonics = rows["sh_rest"].shape[1]
         self._m, self._v, self._others = (
-            {name: device.zeros(*spec) for name, spec in specs.items()}
+            {name: device.zeros(*spec) for name, spec in specs.items()
+             if not (pages and name == "rest")}
             for specs in self.arrays(rows))
         self.steps, self.is_current = 0, True
         self._degree = math.isqrt(self.harmonics + 1) - 1
@@ -126,7 +136,7 @@ class DeviceAdam:
     @classmethod
     def arrays(cls, rows: Mapping[str, Array | ArraySpec]) -> tuple[dict[str, ArraySpec], ...]:
         """The arrays of m, of v and others, by name, for parameters of these shapes."""
-        count, harmonics, _ = rows["sh_rest"].shape
+        count, (_, harmonics, _) = rows["positions"].shape[0], rows["sh_rest"].shape
         m, v = ({"small": ArraySpec((count, SMALL_COLUMNS), dtype),
                  "rest": ArraySpec((count, 3 * harmonics), dtype)}
                 for dtype in cls.STORED.dtypes)
@@ -174,7 +184,7 @@ class DeviceAdam:
             if degree:
                 by_harmonics = fields["sh_rest"]
         self.device.launch(
-            STEP, self._defines(degree), work=max(len(gradients.rows), CATCH_UP_EVERY),
+            STEP, self._defines(rows, degree), work=max(len(gradients.rows), CATCH_UP_EVERY),
             rank_one=int(isinstance(fields, FieldGradients)), share=share, counts=gradients.counts,
             **{name: numbers[name] for name in self.NUMBERS if name != "before"},
             visible=gradients.visible, rows=gradients.rows, grad_colours=colours,
@@ -202,34 +212,72 @@ class DeviceAdam:
             self._coast(rows, frozen, None, True, self.steps, self._degree)
             self.is_current = True
 
-    def current(self, rows: Mapping[str, Array], frozen: Array | None = None) -> dict[str, Array]:
-        """The rows after the last step, as copies where some have not caught up."""
-        if self.is_current:
-            return dict(rows)
-        copies = {**rows, **{field.name: rows[field.name].copied() for field in LEARNED}}
-        self._coast(copies, frozen, None, False, self.steps, self._degree)
-        return copies
+    def seen(self, rows: Mapping[str, Array], camera: Array, now: float, margin: float,
+             flags: Array | None = None) -> Array:
+        """Flag the rows that a view may see once they have caught up, uint[N]; None: a new array.
+
+        `camera` is real[27], packed; `now` is the number of the last step, `margin` are pixels
+        beside the image.
+        """
+        if flags is None:
+            flags = self.device.empty(len(rows["positions"]), np.uint32)
+        self.device.launch(
+            SEEN, self._defines({}, 0), count=len(flags), now=now, margin=margin, camera=camera,
+            coefficients=self._others["coefficients"], positions=rows["positions"],
+            log_scales=rows["log_scales"], last_step=self._others["last_step"], flags=flags)
+        return flags
+
+    def current(self, rows: Mapping[str, Array], chosen: Array, frozen: Array | None = None
+                ) -> dict[str, Array]:
+        """Copies of chosen rows, uint[C], as they are after the last step; if they are paged, their
+        pages must be there."""
+        def taken(array: Array, which: Array = chosen) -> Array:
+            return gather(self.device, array, which)
+
+        rest = self.pages.rest_of(chosen) if self.pages else chosen
+        state = {name: taken(array, rest if name.endswith("_rest") else chosen)
+                 for name, array in self._state_of(rows).items()
+                 if array is not None and name not in ("coefficients", *_PAGED)}
+        if not self.is_current:
+            self._launch_coast(
+                {**state, "coefficients": self._others["coefficients"],
+                 **dict.fromkeys(_PAGED)}, self._defines({}, self._degree),
+                None if frozen is None else taken(frozen), None, False, self.steps, None)
+        return {field.name: state[field.name] for field in LEARNED}
 
     def _coast(self, rows: Mapping[str, Array], frozen: Array | None, camera: Array | None,
                keeps: bool, now: float, degree: int, counts: Array | None = None) -> None:
+        """Move the rows that lag, or of these the ones that a camera may see."""
+        is_paged = self.pages is not None and degree > 0
+        for _ in self.pages.rounds() if self.pages and is_paged and camera is None else (None,):
+            if is_paged:
+                self.pages.note_change()  # type: ignore[union-attr]
+            self._launch_coast(self._state_of(rows), self._defines(rows, degree), frozen, camera,
+                               keeps, now, counts)
+
+    def _launch_coast(self, state: Mapping[str, Array | None], defines: Defines,
+                      frozen: Array | None, camera: Array | None, keeps: bool, now: float,
+                      counts: Array | None) -> None:
+        last_step = state["last_step"]
+        assert last_step is not None
         self.device.launch(
-            CATCH_UP, self._defines(degree), count=len(rows["positions"]), now=now,
-            keeps=int(keeps), has_frozen=int(frozen is not None), by_camera=int(camera is not None),
+            CATCH_UP, defines, count=len(last_step), now=now, keeps=int(keeps),
+            has_frozen=int(frozen is not None), by_camera=int(camera is not None),
             counts=self._others["no_counts"] if counts is None else counts,
             camera=self._others["no_gradient"].reshaped(3) if camera is None else camera,
-            frozen=self._others["none_frozen"] if frozen is None else frozen,
-            **self._state_of(rows))
+            frozen=self._others["none_frozen"] if frozen is None else frozen, **state)
 
-    def _defines(self, degree: int) -> Defines:
-        return adam_defines(self.harmonics, degree) + self.BUILD
+    def _defines(self, rows: Mapping[str, Array], degree: int) -> Defines:
+        return adam_defines(self.harmonics, degree) + self.BUILD + paged_defines(rows, degree)
 
-    def _state_of(self, rows: Mapping[str, Array]) -> dict[str, Array]:
+    def _state_of(self, rows: Mapping[str, Array]) -> dict[str, Array | None]:
         """Rows and moments by the names that they have in the kernels."""
         m, v = self._m, self._v
+        rest = self.pages.arrays if self.pages else {"m_rest": m["rest"], "v_rest": v["rest"]}
         return {**{field.name: rows[field.name] for field in LEARNED}, "m": m["small"],
-                "v": v["small"], "m_rest": m["rest"], "v_rest": v["rest"],
-                "last_step": self._others["last_step"],
-                "coefficients": self._others["coefficients"]}
+                "v": v["small"], **rest, "last_step": self._others["last_step"],
+                "coefficients": self._others["coefficients"],
+                **{name: rows.get(name) for name in _PAGED}}
 
     def regrow(self, source: Array, kept: int) -> None:
         """Rearrange the moments as growth rearranged the rows, which must have caught up.
@@ -250,16 +298,23 @@ class DeviceAdam:
         self._others["last_step"].fill(self.steps)
         self.is_current = True
 
+    def use_pages(self, make: Callable[[dict[str, NDArray[Any]]], Pages]) -> None:
+        """Let pages have the moments of the harmonics from now on; `make` makes them of these."""
+        self.pages = make({name: each.pop("rest").download()
+                           for name, each in zip(MOMENTS_OF_REST, (self._m, self._v))})
+
     def reset(self, name: str) -> None:
         """Set the moments of one field, not sh_rest, to 0."""
         m, v, columns = self._m["small"], self._v["small"], _COLUMNS[name]
-        self.device.launch(CLEAR, self._defines(0), count=len(m), begin=columns.start,
+        self.device.launch(CLEAR, self._defines({}, 0), count=len(m), begin=columns.start,
                            end=columns.stop, m=m, v=v)
 
     def download(self) -> tuple[HostArrays, HostArrays]:
         """m and v in host memory, by field, each row after its last step."""
-        small, rest = (self.STORED.moments(self._m[name].download(), self._v[name].download())
-                       for name in ("small", "rest"))
+        small = self.STORED.moments(*(each["small"].download() for each in (self._m, self._v)))
+        rest = self.STORED.moments(*(
+            self.pages.download(name) for name in MOMENTS_OF_REST) if self.pages else (
+            each["rest"].download() for each in (self._m, self._v)))
         count = len(small[0])
         return tuple({  # type: ignore[return-value]  # two of them
             field.name: others.reshape(count, self.harmonics, 3) if field.name == "sh_rest" else
@@ -277,9 +332,14 @@ class DeviceAdam:
                  for source in (m, v)]
         rest = [source["sh_rest"].reshape(count, 3 * self.harmonics) for source in (m, v)]
         for name, moments in (("small", small), ("rest", rest)):
-            for own, codes in zip((self._m, self._v), self.STORED.codes(*moments)):
+            codes = self.STORED.codes(*moments)
+            if name == "rest" and self.pages:
+                for of_pages, values in zip(MOMENTS_OF_REST, codes):
+                    self.pages.write(of_pages, values)
+                continue
+            for own, values in zip((self._m, self._v), codes):
                 del own[name]  # so that new moments take the memory of the old ones
-                own[name] = self.device.upload(codes)
+                own[name] = self.device.upload(values)
         self._start_lag(count)
 
     def lag(self) -> dict[str, NDArray[Any]]:

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from clsplat.device import Array, Device, Either, Kernel, each
 from clsplat.device.kernel import Defines
 
@@ -9,6 +11,27 @@ GATHER = Kernel("gather.cl", "gather", each("count width"), count="uint", width=
                 indices=("uint", "N"),
                 rows=Either("BYTES", ("uchar", "M", "W"), ("real", "M", "W")),
                 result=Either("BYTES", ("uchar", "N", "W"), ("real", "N", "W")))
+
+SCATTER = Kernel("gather.cl", "scatter", each("count width"), count="uint", width="uint",
+                 indices=("uint", "N"),
+                 rows=Either("BYTES", ("uchar", "N", "W"), ("real", "N", "W")),
+                 result=Either("BYTES", ("uchar", "M", "W"), ("real", "M", "W")))
+
+
+def scatter(device: Device, rows: Array, indices: Array, result: Array) -> None:
+    """Put rows in their places: result[indices[i]] = rows[i].
+
+    Parameters
+    ----------
+    rows : real[N, ...]
+    indices : uint[N], no number twice.
+    result : real[M, ...]
+    """
+    count, width = len(indices), math.prod(rows.shape[1:])
+    if width:
+        device.launch(SCATTER, count=count, width=width, indices=indices,
+                      rows=rows.reshaped(count, width),
+                      result=result.reshaped(len(result), width))
 
 
 def gather(device: Device, rows: Array, indices: Array, result: Array | None = None) -> Array:
@@ -28,7 +51,8 @@ def gather(device: Device, rows: Array, indices: Array, result: Array | None = N
         target = result.narrow(count).reshaped(count, width)
         defines: Defines = ()
         if rows.dtype != device.real:
-            source, target, defines = source.as_bytes(), target.as_bytes(), (("BYTES", 1),)
+            source, target = source.viewed(np.uint8), target.viewed(np.uint8)
+            defines = (("BYTES", 1),)
         device.launch(GATHER, defines, count=count, width=source.shape[1], indices=indices,
                       rows=source, result=target)
     return result

@@ -275,7 +275,7 @@ def pair_limit(device: Device, width: int, height: int, with_depth: bool) -> int
     real, (tiles_x, tiles_y) = device.real.itemsize, tile_grid(device, width, height)
     # each tile may have a partial bucket
     spare = device.bucket * tiles_x * tiles_y if checkpoints else 0
-    at_once = FRAME_SHARE * device.handle.global_mem_size / (
+    at_once = FRAME_SHARE * device.memory_limit / (
         2 * INDEX_BYTES + (grads + checkpoints) * real)
     in_a_buffer = BUFFER_SHARE * device.largest_buffer / (max(grads, checkpoints) * real)
     return min(PAIR_LIMIT, int(min(at_once, in_a_buffer)) - spare)

@@ -19,14 +19,17 @@ LOW_PASS = 0.3  # pixels squared (Kerbl et al. 2023)
 
 _PARAMETERS = dict(opacity_logits=("real", "N"), log_scales=("real", "N", 3),
                    quaternions=("real", "N", 4))
-_COLOURS = dict(sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3))
+_COLOURS = dict(sh_constant=("real", "N", 3), sh_rest=("real", "R", "K", 3))
+# where harmonics lie that are paged (cl/include/rest.h)
+_PAGED = dict(places=Only("PAGED", ("uint", "N")), slots=Only("PAGED", ("uint", "Q")))
 _PLACES = dict(camera=("real", CAMERA_REALS), positions=("real", "N", 3))
 _PAIRS = dict(splat_counts=("uint", "V"), offsets=("uint", "V"), pair_grads=("real", "P", "S"),
               earlier=("real", "E", "S"))
 PROJECT = Kernel("project.cl", "project",
                  Forms(item=each("V"), group=groups("V/PROJECT_GROUP", "PROJECT_GROUP")),
                  counts=("uint", FRAME_COUNTS), rows=("uint", "V"), **_PLACES, **_COLOURS,
-                 **_PARAMETERS, splats=("real", "V", SPLAT_REALS), depth_keys=("uint", "V"))
+                 **_PARAMETERS, splats=("real", "V", SPLAT_REALS), depth_keys=("uint", "V"),
+                 **_PAGED)
 _BY_COLOUR = dict(grad_colours=("real", "V", 3), directions=("real", "V", 3))
 ADJOINT = Kernel("project.cl", "project_adjoint",
                  Forms(item=each("work"), group=groups("work/PROJECT_GROUP", "PROJECT_GROUP")),
@@ -41,7 +44,7 @@ ADJOINT = Kernel("project.cl", "project_adjoint",
                  seen_count=Only("WITH_STATISTICS", ("uint", "N")),
                  photo=Only("MASKED", ("uchar", 4, "Y", "X")),
                  pose_terms=Only("WITH_POSE", ("real", "V", POSE_REALS)),
-                 grad_features=Only("WITH_FEATURES", ("real", "V", "CH")))
+                 grad_features=Only("WITH_FEATURES", ("real", "V", "CH")), **_PAGED)
 SUM_PAIRS = Kernel(
     "project.cl", "sum_pairs",
     Forms(item=each("V"), group=groups("V/PROJECT_GROUP", "PROJECT_GROUP")),
@@ -182,7 +185,7 @@ def project(device: Device, rows: Rows, visible: Array, counts: Array, camera: A
     """
     splats = device.empty((len(visible), SPLAT_REALS))
     depth_keys = device.empty(len(visible), np.uint32)
-    device.launch(PROJECT, of_degree(defines, sh_degree), counts=counts, rows=visible,
+    device.launch(PROJECT, of_rows(defines, rows, sh_degree), counts=counts, rows=visible,
                   camera=camera, splats=splats, depth_keys=depth_keys, **_learned(rows))
     return splats, depth_keys
 
@@ -208,7 +211,7 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
     with_pose : whether the gradient by the pose of the camera is needed.
     """
     summed, pairs = _summed(splat_grads)
-    count, defines = len(visible), (*of_degree(defines, sh_degree), *adjoint_choices(
+    count, defines = len(visible), (*of_rows(defines, rows, sh_degree), *adjoint_choices(
         frozen is not None, statistics is not None, masked is not None, with_pose), *summed)
     stored = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in LEARNED
               if f.name not in ("sh_constant", "sh_rest")}
@@ -274,8 +277,19 @@ def _summed(splat_grads: SplatGrads) -> tuple[Defines, dict[str, Array]]:
                  pair_grads=grads, earlier=grads if earlier is None else earlier))
 
 
-def _learned(rows: Rows) -> dict[str, Array]:
-    return {field.name: rows[field.name] for field in LEARNED}
+def _learned(rows: Rows) -> dict[str, Array | None]:
+    return {**{field.name: rows[field.name] for field in LEARNED},
+            **{name: rows.get(name) for name in _PAGED}}
+
+
+def of_rows(defines: Defines, rows: Rows, degree: int) -> Defines:
+    """The defines of the build for rows and an active degree of the spherical harmonics."""
+    return (*of_degree(defines, degree), *paged_defines(rows, degree))
+
+
+def paged_defines(rows: Rows, degree: int) -> Defines:
+    """The define of kernels that read the harmonics of rows, if these are paged."""
+    return (("PAGED", 1),) if degree and "places" in rows else ()
 
 
 def of_degree(defines: Defines, degree: int) -> Defines:

@@ -21,7 +21,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.views import evaluate_views
 from clsplat.options import seconds_of
 from clsplat.schedule.plan import Plan
-from clsplat.training.model import checkpoint_bytes
+from clsplat.training.model import CurrentRenderer, checkpoint_bytes
 from clsplat.training.recorder import EVALUATION_SHARE, EVALUATIONS, Clock
 from clsplat.training.session import Session
 
@@ -41,7 +41,8 @@ def evaluation_seconds(session: Session) -> float:
     seconds, view = 0.0, session.test_views[:1]
     for _ in range(2 if view else 0):  # the first compiles
         begin = time.perf_counter()
-        evaluate_views(session.renderer, session.model.rows, session.options.sh_degree, view)
+        evaluate_views(CurrentRenderer(session.renderer), session.model,
+                       session.options.sh_degree, view)
         seconds = time.perf_counter() - begin
     return seconds * len(session.test_views)
 

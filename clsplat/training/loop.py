@@ -37,6 +37,7 @@ from clsplat.training.budget import Deadline, evaluation_seconds
 from clsplat.training.checkpoint import Checkpoint, damaged, saved_gaussians
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
+from clsplat.training.model import CurrentRenderer
 from clsplat.training.part import Part
 from clsplat.training.photos import THREADS, size_note
 from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
@@ -266,7 +267,7 @@ class Training:
         batch = session.options.batch
         if session.iteration * batch % len(session.train_views) < batch:  # an epoch has ended
             session.recentre()
-        self._measured = step.run(iteration, plan, session.samples(plan))
+        self._measured = step.run(iteration, plan, session.samples(plan), session.camera_of)
         self.progress.phase(training_at(plan.level))
         grown = step.densify(iteration, plan, session.schedule, session.scoring_views,
                              session.sized_cameras)
@@ -381,7 +382,7 @@ class Training:
         """The pictures of the report."""
         session = self.session
         return pictures_of(
-            session.renderer, session.model.current_rows(), session.options.sh_degree,
+            CurrentRenderer(session.renderer), session.model, session.options.sh_degree,
             session.test_views, session.corrected(session.train_views), self.evaluator.per_view,
             session.predicted())
 

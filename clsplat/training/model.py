@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.camera import Camera
 from clsplat.densify.grow import Growth
-from clsplat.device import Array, ArraySpec, Device
+from clsplat.device import Array, ArraySpec, Device, Reading
+from clsplat.errors import OutOfDeviceMemory, TooFewPages
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
-from clsplat.optimise.adam import CodedAdam, DeviceAdam
+from clsplat.optimise.adam import MOMENTS_OF_REST, CodedAdam, DeviceAdam
 from clsplat.optimise.numpy_adam import NumpyAdam
-from clsplat.primitives.gather import gather
+from clsplat.optimise.pages import Pages
+from clsplat.primitives.compact import compact, new_counts
+from clsplat.primitives.gather import gather, scatter
+from clsplat.primitives.reduce import add_to
+from clsplat.rendering.pipeline import Frame, Renderer
 
-# of the device's memory; beyond it, the moments are kept on the host: frames take as much again
-# and photos a quarter
+# of the device's memory; beyond it, moments are coded, and beyond that harmonics are paged: frames
+# take as much again and photos a quarter
 DEVICE_SHARE = 1 / 3
+FRAME_SHARE = 0.2  # of the device's memory that pages leave free for frames
+GIVEN_SHARE = 0.04  # of the device's memory that pages give back at a time
+CHUNK_ROWS = 1 << 20  # that are copied to the host together
+MARGIN, MARGIN_AHEAD = 1.0, 8.0  # pixels beside an image of which pages are wanted: now, and soon
 Adam = DeviceAdam | NumpyAdam
+Result = TypeVar("Result")
 ENGINES: dict[str, type[Adam]] = {
     "device": DeviceAdam, "coded": CodedAdam, "numpy": NumpyAdam}
 
@@ -24,17 +38,37 @@ ENGINES: dict[str, type[Adam]] = {
 class Model:
     """Rows of gaussians on the device, and an Adam engine whose moments follow them.
 
-    The moments are kept by `engine` "device", "coded" or "numpy".
-    `layout` is another object after each change of the arrays or of the number of gaussians.
+    The moments are kept by `engine` "device", "coded" or "numpy". Where the device has no memory
+    for all of them, the harmonics above the constant and their moments are in `pages`.
+    `layout` is another object after each change of the number of gaussians.
     """
 
     def __init__(self, device: Device, gaussians: Gaussians, engine: str = "device") -> None:
         self.device, self.sh_degree = device, gaussians.sh_degree
         self.frozen: Array | None = None  # uint[count], not 0 for those that are not trained
         self.count, self.layout = gaussians.count, object()
-        self._arrays = {name: device.upload(values) for name, values in gaussians.rows.items()}
-        self.adam: Adam = ENGINES[engine](
-            device, {field.name: self._arrays[field.name] for field in LEARNED})
+        self.pages: Pages | None = None
+        self._engine = engine
+        self._asked: dict[int, Reading] = {}  # number of a sample -> the pages that it will want
+        kind, fields = ENGINES[engine], dict(gaussians.rows)
+        needed = model_bytes(device, self.sh_degree, self.count, engine)
+        if issubclass(kind, DeviceAdam) and gaussians.sh_degree and needed > self._free_bytes():
+            rest = fields.pop("sh_rest")
+            self.pages = self._make_pages(gaussians.positions, rest, {
+                name: np.zeros((self.count, rest[0].size), dtype or device.real)
+                for name, dtype in zip(MOMENTS_OF_REST, kind.STORED.dtypes)})
+        self._arrays = {name: device.upload(values) for name, values in fields.items()}
+        self.adam: Adam = (kind(device, self.learned, self.pages) if issubclass(kind, DeviceAdam)
+                           else kind(device, self.learned))
+
+    def _make_pages(self, positions: NDArray[np.floating], sh_rest: NDArray[np.floating],
+                    moments: dict[str, NDArray[Any]]) -> Pages:
+        return Pages(self.device, positions, {"sh_rest": sh_rest.astype(self.device.real),
+                                              **moments}, self._free_bytes)
+
+    def _free_bytes(self) -> int:
+        """Bytes that arrays of the model may take, so that frames find room."""
+        return int((1 - FRAME_SHARE) * self.device.memory_limit) - self.device.memory_bytes
 
     @staticmethod
     def arrays(names: Iterable[str], sh_degree: int, count: int) -> dict[str, ArraySpec]:
@@ -44,28 +78,127 @@ class Model:
 
     @property
     def rows(self) -> dict[str, Array]:
-        """Field name -> real[count, *row shape], the arrays of the model.
+        """Field name -> real[count, *row shape], the arrays of the model; if harmonics are paged,
+        also `places` and `slots` (cl/include/rest.h), and `sh_rest` are the pages that are there.
 
-        Gaussians that no view saw may lag behind the last step (`catch_up`, `current_rows`).
+        Gaussians that no view saw may lag behind the last step (`catch_up`, `seen`).
         """
-        return dict(self._arrays)
+        if self.pages is None:
+            return dict(self._arrays)
+        return {**self._arrays, "sh_rest": self.pages.arrays["sh_rest"],
+                "places": self.pages.places, "slots": self.pages.slots}
+
+    @property
+    def memory(self) -> object:
+        """Another object after each change of the arrays."""
+        return self.pages.arrays if self.pages else self.layout
+
+    @property
+    def learned(self) -> dict[str, Array]:
+        """The rows without those that Adam does not move."""
+        fixed = {field.name for field in FIELDS} - {field.name for field in LEARNED}
+        return {name: array for name, array in self.rows.items() if name not in fixed}
 
     def catch_up(self) -> None:
         """Bring all gaussians up to the last step.
 
         This rounds, so when it is done must follow from the options alone.
         """
-        self.adam.catch_up(self.rows, self.frozen)
+        self.adam.catch_up(self.learned, self.frozen)
 
-    def current_rows(self) -> dict[str, Array]:
-        """The rows after the last step, for whoever looks at the model at any time: copies, unless
-        all have caught up."""
-        return self.adam.current(self.rows, self.frozen)
+    # --- copies, for whoever looks at the model at any time
+
+    def seen(self, camera: Array) -> dict[str, Array]:
+        """The learned rows that a packed camera, real[27], may see, as they are after the last
+        step, in their order; all rows, if none lags and all are on the device. Waits."""
+        if isinstance(self.adam, NumpyAdam) or self.adam.is_current and not self.pages:
+            return self.learned
+        flags = self.adam.seen(self.rows, camera, self.adam.steps, MARGIN)
+        if self.pages and self.pages.bring(wanted := self.pages.mark(flags).download() > 0):
+            if self.adam.is_current:
+                return self.learned
+            wanted[:] = False
+        chosen = compact(self.device, flags, new_counts(self.device))
+        if not self.pages or not wanted.any():
+            return self.adam.current(self.learned, chosen, self.frozen)
+        found = {name: self.device.empty((len(chosen), *array.shape[1:]))
+                 for name, array in self.learned.items() if name not in ("places", "slots")}
+        for index, rows in self.pages.rounds_of(chosen.download()):
+            current = self.adam.current(self.learned, self.device.upload(rows), self.frozen)
+            for name, array in current.items():
+                scatter(self.device, array, self.device.upload(index), found[name])
+        return found
 
     def download(self, stored: bool = False) -> Gaussians:
-        """Copy the rows to the host: `current_rows`, or for a checkpoint the stored ones."""
-        rows = self.rows if stored else self.current_rows()
-        return Gaussians({name: array.download() for name, array in rows.items()}, self.sh_degree)
+        """Copy the rows to the host, as they are after the last step, or for a checkpoint as they
+        are stored."""
+        rows = {name: self.field(name) for name in (*self._arrays, "sh_rest")}
+        if not (stored or isinstance(self.adam, NumpyAdam) or self.adam.is_current):
+            for chosen in self._chunks():
+                current = self.adam.current(self.learned, self.device.upload(chosen), self.frozen)
+                for name, array in current.items():
+                    rows[name][chosen] = array.download()
+        return Gaussians({name: rows[name] for name in
+                          (field.name for field in FIELDS) if name in rows}, self.sh_degree)
+
+    def _chunks(self) -> Iterator[NDArray[np.uint32]]:
+        """All rows, some at a time, of which the harmonics are on the device then."""
+        if self.pages:
+            yield from self.pages.rounds(CHUNK_ROWS)
+            return
+        for first in range(0, self.count, CHUNK_ROWS):
+            yield np.arange(first, min(first + CHUNK_ROWS, self.count), dtype=np.uint32)
+
+    def field(self, name: str) -> NDArray[Any]:
+        """A field of all rows, as it is stored."""
+        if name == "sh_rest" and self.pages:
+            return self.pages.download(name)
+        return self._arrays[name].download()
+
+    def add_to(self, name: str, total: Array | NDArray[Any] | None) -> Array | NDArray[Any]:
+        """Add a field to a sum of earlier ones, on the device as it is, or of a paged one on the
+        host in the order of pages; None: the sum begins."""
+        if name == "sh_rest" and self.pages:
+            if isinstance(total, Array):  # it was not paged before
+                total = self.pages.arranged(total.download())
+            return self.pages.add_to(name, total)
+        array = self._arrays[name]
+        if total is None:
+            return self.within(array.copied)
+        assert isinstance(total, Array)
+        add_to(self.device, total, array)
+        return total
+
+    def summed(self, name: str, total: Array | NDArray[Any]) -> NDArray[Any]:
+        """A sum of `add_to`, in host memory in the order of rows."""
+        if isinstance(total, Array):
+            return total.download()
+        assert self.pages
+        return self.pages.in_rows(total)
+
+    def total(self, name: str, values: NDArray[Any]) -> Array | NDArray[Any]:
+        """The inverse of `summed`."""
+        return (self.pages.arranged(values) if name == "sh_rest" and self.pages else
+                self.within(partial(self.device.upload, values)))
+
+    def within(self, work: Callable[[], Result]) -> Result:
+        """Do work that changes nothing, again and again while the model has memory to give back."""
+        while True:
+            try:
+                return work()
+            except OutOfDeviceMemory as error:
+                if isinstance(error, TooFewPages) or not self.is_bounded:
+                    raise
+            self.give_back()  # now that no exception keeps arrays alive
+
+    def write(self, name: str, values: NDArray[np.floating], first: int = 0) -> None:
+        """Overwrite rows of a field from row `first` on."""
+        if name == "sh_rest" and self.pages:
+            self.pages.write(name, values.astype(self.device.real), first)
+        else:
+            self._arrays[name].write(values, first)
+
+    # --- changes of the rows
 
     def regrow(self, growth: Growth) -> None:
         """Replace the rows as a round of growth requires; new rows have no moments.
@@ -74,15 +207,27 @@ class Model:
         would save no copy.
         """
         self.catch_up()
-        self.count, self.layout = len(growth.source), object()
+        self._asked.clear()
+        old, self.count, self.layout = self.count, len(growth.source), object()
         self.device.trim()  # frames of another number of gaussians need other sizes
+        if self.pages:
+            self.pages.leave()
+        elif self._can_be_paged() and self._regrown_bytes(old) > self._free_bytes():
+            self._use_pages()
         source = self.device.upload(growth.source)
-        for name, old in self._arrays.items():
-            new = self.device.allocate((self.count, *old.shape[1:]))
-            self._arrays[name] = gather(self.device, old, source, new)
+        for name, array in self._arrays.items():
+            new = self.device.allocate((self.count, *array.shape[1:]))
+            self._arrays[name] = gather(self.device, array, source, new)
         self.adam.regrow(source, growth.kept)
-        for name, (first, values) in growth.changes.items():
-            self._arrays[name].write(values, first)
+        changes = dict(growth.changes)
+        rest = changes.pop("sh_rest", None) if self.pages else None
+        for name, (first, values) in changes.items():
+            self.write(name, values, first)
+        if self.pages:
+            positions = self._arrays["positions"].download()
+            self.pages.regrow(growth.source, growth.kept, positions, "sh_rest")
+            if rest:
+                self.write("sh_rest", rest[1], rest[0])
 
     def limit_opacity(self, logit: float) -> None:
         """Limit opacity logits, of the gaussians that are trained, and reset the moments of all
@@ -92,6 +237,93 @@ class Model:
         values, trained = logits.download(), self.frozen is None or self.frozen.download() == 0
         logits.write(np.minimum(values, logit, out=values, where=trained))
         self.adam.reset("opacity_logits")
+
+    # --- pages
+
+    def _can_be_paged(self) -> bool:
+        return isinstance(self.adam, DeviceAdam) and self.sh_degree > 0
+
+    def _regrown_bytes(self, old: int) -> int:
+        """How many bytes more are in use while rows are copied, the largest array twice."""
+        before, now = (model_bytes(self.device, self.sh_degree, count, self._engine)
+                       for count in (old, self.count))
+        return max(now - before, 0) + self._arrays["sh_rest"].nbytes
+
+    def _use_pages(self) -> None:
+        """Take the harmonics and their moments from the device to pages."""
+        assert isinstance(self.adam, DeviceAdam)
+        rest, positions = self._arrays.pop("sh_rest").download(), self._arrays["positions"]
+        self.adam.use_pages(lambda moments: self._make_pages(positions.download(), rest, moments))
+        self.pages = self.adam.pages
+
+    def forget_asked(self) -> None:
+        """Ask anew which pages samples want."""
+        self._asked.clear()
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether memory may lack that the model can give back."""
+        return self.pages is not None or (
+            self.device.memory_limit < self.device.handle.global_mem_size and self._can_be_paged())
+
+    def give_back(self) -> None:
+        """Give back memory of the device; OutOfDeviceMemory where there is none left."""
+        self._asked.clear()
+        self.device.trim()
+        if self.pages is None:
+            self._use_pages()
+        else:
+            self.pages.shrink(int(GIVEN_SHARE * self.device.memory_limit))
+
+    def look_ahead(self, number: int, camera: Array) -> None:
+        """Ask which pages a later sample will want, by its number and packed camera."""
+        if self.pages and self.pages.room and isinstance(self.adam, DeviceAdam):
+            self._asked[number] = Reading(self._wanted(camera, MARGIN_AHEAD))
+
+    def fetch(self, views: Iterable[tuple[int, Array]], degree: int) -> None:
+        """Bring the pages that the samples of a step want, by their numbers and packed cameras."""
+        if self.pages and degree:
+            wanted, views = np.zeros(self.pages.pages, bool), tuple(views)
+            for number in [asked for asked in self._asked if asked < views[0][0]]:
+                del self._asked[number]
+            for number, camera in views:
+                asked = self._asked.get(number)
+                wanted |= (asked.values() if asked else
+                           self._wanted(camera, MARGIN_AHEAD).download()) > 0
+            self.pages.fetch(wanted)
+            self.pages.note_change()
+
+    def _wanted(self, camera: Array, margin: float) -> Array:
+        """uint[pages], 1 for those of which a camera may see a row."""
+        assert self.pages and isinstance(self.adam, DeviceAdam)
+        return self.pages.mark(self.adam.seen(self.rows, camera, self.adam.steps, margin))
+
+    def require_seen(self, camera: Array, numbers: Mapping[str, float], degree: int, counts: Array,
+                     ends: bool) -> None:
+        """Let the frame of `counts` fail where a page that it wants is not there; `numbers` are
+        those of Adam for this step, of which this is the last frame if it `ends`."""
+        if self.pages and degree and isinstance(self.adam, DeviceAdam):
+            flags = self.adam.seen(self.rows, camera, numbers["before"], MARGIN)
+            self.pages.require(flags, counts, ends)
+
+
+class CurrentRenderer:
+    """Draws the model of a training, which takes the place of the rows, as it is after the last
+    step."""
+
+    def __init__(self, renderer: Renderer) -> None:
+        self.renderer = renderer
+
+    def pack(self, camera: Camera, /) -> Array:
+        """See `Renderer.pack`."""
+        return self.renderer.pack(camera)
+
+    def render(self, model: Model, camera: Array, width: int, height: int, sh_degree: int, /,
+               with_depth: bool = False, *, depth_percent: int = 0) -> Frame:
+        """See `Renderer.render`."""
+        return model.within(lambda: self.renderer.render(
+            model.seen(camera), camera, width, height, sh_degree, with_depth,
+            depth_percent=depth_percent))
 
 
 def model_bytes(device: Device, sh_degree: int, count: int, engine: str) -> int:

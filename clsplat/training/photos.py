@@ -220,7 +220,7 @@ class PhotoStore:
 
 def _budget(device: Device) -> float:
     """The bytes that photos may take on a device."""
-    return DEVICE_SHARE * device.handle.global_mem_size
+    return DEVICE_SHARE * device.memory_limit
 
 
 def _photo_bytes(view: View) -> int:

@@ -13,6 +13,7 @@ from clsplat.errors import InputError, StopTraining
 from clsplat.evaluation.views import evaluate_views, expected_seconds
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.scores import disturbed, is_upheaval, main_key
+from clsplat.training.model import CurrentRenderer
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
 from clsplat.training.step import Measured
@@ -191,10 +192,10 @@ class Evaluator:
         with self.clock.paused():
             progress.phase("evaluating")
             session.step.release()  # frames of evaluation have other sizes
-            result = evaluate_views(session.renderer, session.model.current_rows(),
+            result = evaluate_views(CurrentRenderer(session.renderer), session.model,
                                     session.options.sh_degree, session.test_views,
                                     predicted=session.predicted())
-            session.device.trim()
+            session.step.release()  # their memory is of other sizes than steps need
         self.latest_seconds = time.perf_counter() - begin
         self._all_seconds += self.latest_seconds
         self.evaluated_at, self.per_view = session.iteration, result.pop("per_view")

@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from clsplat.densify.scores import SizedCamera
-from clsplat.device import Device
+from clsplat.device import Array, Device
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
 from clsplat.gaussians import Gaussians
 from clsplat.rendering.pipeline import Renderer
@@ -110,6 +110,10 @@ class Session:
                     for other in part.read_ahead(plan, following, number + 1):
                         self.photos.expect(other)
             yield sample
+
+    def camera_of(self, number: int) -> Array:
+        """The packed camera of the number-th view (from 1) that is trained on."""
+        return self.cameras[self._view_of(number)]
 
     def _view_of(self, number: int) -> int:
         """Index of the number-th view (from 1) that is trained on."""

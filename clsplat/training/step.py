@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from clsplat.constants import (
     COUNT_DONE,
+    COUNT_FAILED,
     COUNT_MOST_PAIRS,
     COUNT_MOST_VISIBLE,
     COUNT_SUM_PAIRS,
@@ -18,7 +19,8 @@ from clsplat.densify.grow import Growth
 from clsplat.densify.round import Round
 from clsplat.densify.scores import SizedCamera, Statistics, blending_weights, taming_scores
 from clsplat.device import Array, Graph
-from clsplat.gaussians import FIELDS, LEARNED
+from clsplat.errors import OutOfDeviceMemory
+from clsplat.gaussians import FIELDS
 from clsplat.loss.image_loss import is_masked
 from clsplat.optimise.adam import learning_rates
 from clsplat.optimise.batch import BatchMean
@@ -29,9 +31,10 @@ from clsplat.schedule.plan import Plan, Schedule
 from clsplat.training.capacity import FrameCapacity
 from clsplat.training.model import Model
 from clsplat.training.part import Inputs, Now, Part, TrainingSample, ViewPass
-from clsplat.training.units import Unit, Units
+from clsplat.training.units import COUNTS, Unit, Units
 
 RESET_OPACITY = 0.01
+AHEAD = 3  # samples: when it is asked which pages of harmonics they will want
 ScoringViews = Callable[[], list[ViewPass]]
 Measured = dict[str, Any]  # name of a part -> what its term of the loss measured in a view
 
@@ -69,6 +72,8 @@ class Step:
         self._graphs: dict[Any, Graph] = {}
         self._batch: BatchMean | None = None
         self._recorded_for: tuple[Any, ...] = 4 * (None,)
+        self._failed = self.device.zeros(*COUNTS)  # of a frame that changes nothing
+        self._failed.write(np.ones(1, np.uint32), COUNT_FAILED)
         self.rows_changed()
 
     # --- the state, after all steps
@@ -100,10 +105,12 @@ class Step:
         return self.units.confirm()
 
     def release(self) -> None:
-        """Give back the memory of frames, until the next step records them again."""
+        """Give back the memory of frames and pages, until the next step needs them again."""
         self.settle()
         self._graphs.clear()
         self.device.trim()
+        if self._model.pages:
+            self._model.pages.leave()
 
     def skipped(self) -> tuple[int, int]:
         """How many rows of gradients this process skipped, as they are not finite, and how many it
@@ -115,23 +122,32 @@ class Step:
 
     # --- a step
 
-    def run(self, iteration: int, plan: Plan, samples: Iterable[TrainingSample]) -> list[Measured]:
+    def run(self, iteration: int, plan: Plan, samples: Iterable[TrainingSample],
+            camera_of: Callable[[int], Array] | None = None) -> list[Measured]:
         """Take a step, by number from 1, on the mean loss of options.batch samples, which are read
-        one at a time; returns the measurements of each, still on the device (`values`)."""
+        one at a time; returns the measurements of each, still on the device (`values`).
+        `camera_of` is the packed camera of a sample of this step or later ones, by its number;
+        None: the samples of the step have the same."""
         views, now = self.options.batch, self.now(iteration, plan)
         measured: list[Measured] = [{} for _ in range(views)]
         numbers = self._model.adam.numbers(iteration, now.rates)
+        numbered = range((iteration - 1) * views + 1, iteration * views + 1)
+        cameras = [(number, camera_of(number)) for number in numbered] if camera_of else []
         for slot, sample in zip(range(views), samples):
             given = _Given(plan, sample, numbers, slot, [
                 (part, found) for part in self.parts
                 if (found := part.inputs(now, sample)) is not None])
 
             def work(given: _Given = given) -> None:
+                self._model.fetch(cameras or [(given.sample.number, given.sample.camera)],
+                                  given.plan.degree)
                 measured[given.slot] = self._take(given)
                 if given.slot == views - 1:
-                    self._model.adam.advance(iteration, plan.degree, self._learned,
+                    self._model.adam.advance(iteration, plan.degree, lambda: self._model.learned,
                                              self._model.frozen, self.units.counts)
             self.units.submit(Unit(work, partial(self._make_room, given)))
+            if camera_of and self._model.pages:
+                self._model.look_ahead(sample.number + AHEAD, camera_of(sample.number + AHEAD))
         return measured
 
     def now(self, iteration: int, plan: Plan) -> Now:
@@ -151,16 +167,18 @@ class Step:
     def _make_room(self, given: _Given) -> None:
         self._graphs.clear()  # whose memory frames with more room could not use
         self.device.trim()
+        self._model.forget_asked()
         camera = self.pass_of(given.sample, given.parts).camera
         _, height, width = given.sample.photo.shape
         self._capacity.grow(self._model.rows, camera, width, height)
 
     def pass_of(self, sample: TrainingSample, parts: Sequence[tuple[Part, Inputs]] = (),
-                view: int | None = None) -> ViewPass:
-        """The pass of a sample, from the camera that the given parts correct; `view` is an input of
-        a recording instead of `sample.view`."""
+                view: int | None = None, counts: Array | None = None) -> ViewPass:
+        """The pass of a sample, from the camera that the given parts correct; `view` and `counts`
+        are inputs of a recording instead of `sample.view` and those of all units."""
         work = ViewPass(sample.view if view is None else view, sample.camera, sample.camera,
-                        sample.photo, self._model.rows, self.units.counts, self._model.frozen)
+                        sample.photo, self._model.rows, counts or self.units.counts,
+                        self._model.frozen)
         for part, own in parts:
             part.camera(work, own)
         return work
@@ -168,17 +186,18 @@ class Step:
     def _take(self, given: _Given) -> Measured:
         """Enqueue the work of a sample."""
         model = self._model
-        state = model.layout, self._statistics.grad_norm_sum, model.frozen, self.options
+        state = model.memory, self._statistics.grad_norm_sum, model.frozen, self.options
         if any(new is not old for new, old in zip(state, self._recorded_for)):
             self._graphs.clear()
             self._recorded_for = state
             if self.options.batch > 1:
-                self._batch = BatchMean(self.device, self._learned(), self.options.batch)
+                self._batch = BatchMean(self.device, self._model.learned, self.options.batch)
         sample, parts = given.sample, given.parts
         if not self._model.adam.RECORDS or any(part.waits for part, _ in parts):
-            return self._enqueue(given, sample.view, None)
+            return self._enqueue(given, sample.view, None, self.units.counts)
         inputs: dict[str, Any] = {"camera": sample.camera, "photo": sample.photo,
-                                  "view": sample.view, **given.numbers}
+                                  "view": sample.view, "counts": self.units.counts,
+                                  **given.numbers}
         for part, own in parts:
             inputs |= {f"{part.name}.{name}": value for name, value in own.items()}
         key = (given.slot, given.plan.degree, given.plan.gathers, sample.own_mask,
@@ -187,31 +206,52 @@ class Step:
                      if isinstance(value, Array)))
         if graph := self._graphs.get(key):
             graph.replay(**inputs)
-        else:
-            _, height, width = sample.photo.shape
-            with_depth = any(part.needs_depth for part, _ in parts)
-            if not self._capacity.is_known(width, height, with_depth):
-                self._make_room(given)
-            room = self._capacity.room(self.count, width, height, with_depth)
-            if not self._graphs:  # measuring left blocks of other sizes than frames need
-                self.device.trim()
-            with self.device.record(**inputs) as graph:
-                recorded = given._replace(
-                    numbers={name: graph.inputs[name] for name in given.numbers},
-                    parts=[(part, {name: graph.inputs[f"{part.name}.{name}"] for name in own})
-                           for part, own in parts])
-                graph.result = self._enqueue(recorded, graph.inputs["view"], room)
+        elif not model.is_bounded:
+            graph = self._graphs[key] = self._record(given, inputs)
+        else:  # with a frame that has failed, so that nothing has changed if there is no memory
+            graph = self._record_within(given, {**inputs, "counts": self._failed})
             self._graphs[key] = graph
+            graph.replay(**inputs)
         measured: Measured = graph.result
         return measured
 
-    def _enqueue(self, given: _Given, view: int, room: Room | None) -> Measured:
+    def _record_within(self, given: _Given, inputs: Mapping[str, Any]) -> Graph:
+        """As `_record`; where the device has no memory left, the model gives some back."""
+        while True:
+            try:
+                return self._record(given, inputs)
+            except OutOfDeviceMemory:
+                self._graphs.clear()
+            self._model.give_back()  # now that no exception keeps arrays alive
+            self._model.fetch([(given.sample.number, given.sample.camera)], given.plan.degree)
+
+    def _record(self, given: _Given, inputs: Mapping[str, Any]) -> Graph:
+        """Record, and enqueue, the work of a sample."""
+        sample, parts = given.sample, given.parts
+        _, height, width = sample.photo.shape
+        with_depth = any(part.needs_depth for part, _ in parts)
+        if not self._capacity.is_known(width, height, with_depth):
+            self._make_room(given)
+        room = self._capacity.room(self.count, width, height, with_depth)
+        if not self._graphs:  # measuring left blocks of other sizes than frames need
+            self.device.trim()
+        with self.device.record(**inputs) as graph:
+            recorded = given._replace(
+                numbers={name: graph.inputs[name] for name in given.numbers},
+                parts=[(part, {name: graph.inputs[f"{part.name}.{name}"] for name in own})
+                       for part, own in parts])
+            graph.result = self._enqueue(recorded, graph.inputs["view"], room,
+                                         graph.inputs["counts"])
+        return graph
+
+    def _enqueue(self, given: _Given, view: int, room: Room | None, counts: Array) -> Measured:
         """The work of a sample, kernel after kernel; `view` is its index, or an input."""
         plan, numbers, parts = given.plan, given.numbers, given.parts
         views, measured = self.options.batch, Measured()
-        work = self.pass_of(given.sample, parts, view)
-        self._model.adam.catch_up_seen(self._learned(), numbers, plan.degree, self._model.frozen,
-                                       work.camera, self.units.counts)
+        work = self.pass_of(given.sample, parts, view, counts)
+        model, rows = self._model, self._model.learned
+        model.require_seen(work.camera, numbers, plan.degree, counts, given.slot == views - 1)
+        model.adam.catch_up_seen(rows, numbers, plan.degree, model.frozen, work.camera, counts)
         work.gradients = self._gradients(given, work, room, measured)
         del work.frame, work.grad  # so that what follows uses their memory
         for part, own in parts:
@@ -221,9 +261,8 @@ class Step:
             self._batch.add(gradients, plan.degree)
             if given.slot < views - 1:
                 return measured
-            gradients = self._batch.mean(self.units.counts, plan.degree,
-                                         self.count if room else None)
-        self._model.adam.apply(self._learned(), gradients, numbers, plan.degree, self._model.frozen)
+            gradients = self._batch.mean(counts, plan.degree, self.count if room else None)
+        model.adam.apply(rows, gradients, numbers, plan.degree, model.frozen)
         for part, own in parts:
             part.move(work, own)
         return measured
@@ -249,10 +288,6 @@ class Step:
             self._statistics.sums if plan.gathers else None,
             photo if is_masked(photo) and given.sample.own_mask else None,
             any(part.needs_pose for part, _ in parts))
-
-    def _learned(self) -> dict[str, Array]:
-        rows = self._model.rows
-        return {field.name: rows[field.name] for field in LEARNED}
 
     # --- growth
 
@@ -304,6 +339,8 @@ class Step:
         self.release()  # what follows renders frames of other sizes
         model, statistics = self._model, self._statistics
         model.catch_up()
+        if model.pages:  # growth replaces them, and until then needs their memory
+            model.pages.leave()
         self.rows_changed()
         frozen = np.zeros(model.count, bool) if model.frozen is None else (
             model.frozen.download() > 0)
@@ -313,8 +350,8 @@ class Step:
             iteration, rows, self.extent, self.options, plan.prunes_large, frozen,
             statistics.mean_gradient, lambda gradient: taming_scores(
                 self.renderer, model.rows, scoring_views(), plan.degree, self.options.ssim_weight,
-                gradient),
-            lambda: blending_weights(self.renderer, model.rows, cameras(), plan.degree)))
+                gradient, model.seen),
+            lambda: blending_weights(self.renderer, model.rows, cameras())))
         self.replace_rows(growth)
         self._choose_room(True)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}

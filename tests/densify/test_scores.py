@@ -125,12 +125,12 @@ def test_blending_weights_share_what_a_view_covers(double_device, monkeypatch, n
     case = cases.gaussians(name)
     renderer, rows, frame = render(double_device, case)
     camera = frame.camera, *size_of(case)
-    weights = blending_weights(renderer, rows, [camera, camera], case["degree"])
+    weights = blending_weights(renderer, rows, [camera, camera])
     covered = 1 - frame.blended.transmittance.download()
     assert weights.sum() == pytest.approx(2 * covered.sum(), rel=1e-9)
     unseen = np.setdiff1d(np.arange(len(weights)), frame.visible.download())
     assert not weights[unseen].any() and np.count_nonzero(weights) > len(weights) / 4
     # of three views two are rendered, the first and the last, and stand for all
     monkeypatch.setattr(scores, "MOST_WEIGHED", 2)
-    fewer = blending_weights(renderer, rows, [camera, None, camera], case["degree"])
+    fewer = blending_weights(renderer, rows, [camera, None, camera])
     assert np.allclose(fewer, 1.5 * weights, rtol=1e-12)

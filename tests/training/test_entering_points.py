@@ -80,11 +80,10 @@ def test_few_points_enter_at_once():
         assert sorted({segment.gaussians for segment in segments}) == expected
 
 
-def session_of(device, rows, found):
+def session_of(rows, found):
     """What the part needs of a session whose model has these rows."""
     return SimpleNamespace(step=SimpleNamespace(
-        model=SimpleNamespace(catch_up=lambda: None, rows={
-            name: device.upload(values) for name, values in rows.items()}),
+        model=SimpleNamespace(catch_up=lambda: None, field=rows.__getitem__),
         replace_rows=found.append))
 
 
@@ -93,12 +92,12 @@ def plan(level):
 
 
 @pytest.mark.parametrize("spheres", [True, False])
-def test_the_next_level_takes_over_what_was_trained(item_device, spheres):
+def test_the_next_level_takes_over_what_was_trained(spheres):
     part, first = filled(spheres)
     rng, found, new = np.random.default_rng(0), [], part.nodes[1].result().rows
     moved = {name: values + rng.normal(size=values.shape).astype(np.float32)
              for name, values in first.rows.items()}
-    session, parents = session_of(item_device, moved, found), part.parents[0]
+    session, parents = session_of(moved, found), part.parents[0]
     assert part.before_step(session, plan(4.0)) is None and found == []
     assert part.before_step(session, plan(2.0)) == {"entered": SIDE**2 // 4}
     (growth,) = found
@@ -109,7 +108,7 @@ def test_the_next_level_takes_over_what_was_trained(item_device, spheres):
         assert begin == 0 and np.allclose(values, new[name] + change, atol=1e-5)
     assert ("max_offsets" in growth.changes) == ("anchors" in growth.changes) == spheres
     assert part.state() and part.before_step(session, plan(2.0)) is None
-    assert part.before_step(session_of(item_device, new, found), plan(1.0)) == {"entered": SIDE**2}
+    assert part.before_step(session_of(new, found), plan(1.0)) == {"entered": SIDE**2}
     assert part.state() == {} and not part.nodes  # nothing is left to enter, nor held
     assert part.facts(FACTS, None, (), first).count == SIDE**2
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from clsplat.device import Array
 from clsplat.gaussians import LEARNED
-from clsplat.primitives.reduce import add_to
 from clsplat.training.part import Part, State
 
 if TYPE_CHECKING:
     from clsplat.schedule.plan import Plan
+    from clsplat.training.model import Model
     from clsplat.training.session import Session
     from clsplat.training.start.prepare import PreparedScene
 
@@ -33,8 +33,9 @@ class Average(Part):
     name = "average"
 
     def __init__(self) -> None:
-        self._sums: dict[str, Array] = {}
+        self._sums: dict[str, Array | NDArray[Any]] = {}
         self._samples = 0
+        self._model: Model | None = None
         self._layout: object = None  # of the rows that were summed
 
     @classmethod
@@ -54,30 +55,29 @@ class Average(Part):
         trained = (np.ones(model.count, bool) if model.frozen is None
                    else model.frozen.download() == 0)
         for name, total in self._sums.items():
-            row, values = model.rows[name], total.download() / self._samples
-            values[~trained] = row.download()[~trained]
-            row.write(values)
+            values = model.summed(name, total) / self._samples
+            values[~trained] = model.field(name)[~trained]
+            model.write(name, values)
         self._sums, self._samples = {}, 0  # if the run is resumed, the mean stays
 
     def _add(self, session: Session) -> None:
-        session.model.catch_up()
-        if self._layout is not session.model.layout:  # the rows are others
-            self._sums, self._samples, self._layout = {}, 0, session.model.layout
+        model = self._model = session.model
+        model.catch_up()
+        if self._layout is not model.layout:  # the rows are others
+            self._sums, self._samples, self._layout = {}, 0, model.layout
         for field in LEARNED:
-            row = session.model.rows[field.name]
-            if self._samples:
-                add_to(row.device, self._sums[field.name], row)
-            else:
-                self._sums[field.name] = row.copied()
+            self._sums[field.name] = model.add_to(field.name, self._sums.get(field.name))
         self._samples += 1
 
     def state(self) -> State:
-        sums: dict[str, NDArray[Any]] = {
-            name: total.download() for name, total in self._sums.items()}
-        return {**sums, "samples": np.array(self._samples)} if sums else {}
+        if not (self._sums and self._model):
+            return {}
+        return {**{name: self._model.summed(name, total) for name, total in self._sums.items()},
+                "samples": np.array(self._samples)}
 
     def load(self, state: State, session: Session) -> None:
+        model = self._model = session.model
         if state:
-            self._samples, self._layout = int(state["samples"]), session.model.layout
-        self._sums = {name: session.device.upload(values) for name, values in state.items()
+            self._samples, self._layout = int(state["samples"]), model.layout
+        self._sums = {name: model.total(name, values) for name, values in state.items()
                       if name != "samples"}

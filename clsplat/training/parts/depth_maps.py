@@ -55,7 +55,7 @@ class DepthMaps(Part):
         """Use the maps of these views; `unit` is the world units in a unit of the scene."""
         self._device, self._views, self._unit = device, views, unit
         needed = sum(spec.nbytes(device.real) for spec in map(depth_array, views) if spec)
-        self.resident = needed <= DEVICE_SHARE * device.handle.global_mem_size
+        self.resident = needed <= DEVICE_SHARE * device.memory_limit
         self._kept = [self._upload(view) for view in views] if self.resident else []
 
     def map_of(self, view: int) -> Array | None:

@@ -94,7 +94,7 @@ class EnteringPoints(Part):
         returns how many they are."""
         step.model.catch_up()
         (was, new), parents = (node.result().rows for node in self.nodes[:2]), self.parents[0]
-        rows = {name: new[name] + (step.model.rows[name].download() - was[name])[parents]
+        rows = {name: new[name] + (step.model.field(name) - was[name])[parents]
                 for name in CHANGED}
         if "anchors" in new:
             rows |= {"anchors": rows["positions"], "max_offsets": new["max_offsets"]}

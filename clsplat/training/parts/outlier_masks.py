@@ -70,10 +70,11 @@ def resampled(cells: Cells, height: int, width: int) -> Cells:
 
 
 def find_outliers(renderer: Renderer, rows: Rows, sh_degree: int,
-                  views: Callable[[], Iterable[ObservedView]]) -> list[Cells]:
+                  views: Callable[[], Iterable[ObservedView]],
+                  shown: Callable[[Array], Rows] | None = None) -> list[Cells]:
     """The cells of each view that are ignored; waits. `views` returns all training views in their
-    order, and is called twice."""
-    explained = _Explained(renderer, rows, sh_degree)
+    order, and is called twice; `shown` is as for `taming_scores`."""
+    explained = _Explained(renderer, rows, sh_degree, shown or (lambda camera: rows))
     found = [explained.add(view) for view in views()]
     scale = float(np.median(np.concatenate([each.ravel() for each in found])))
     return [_outliers(residual, *explained.expected(view, residual), scale)
@@ -84,8 +85,9 @@ class _Explained:
     """What the gaussians leave unexplained in all photos together: sums over views of a gaussian's
     blending weights, of these times the residual of their pixels, and how many views see it."""
 
-    def __init__(self, renderer: Renderer, rows: Rows, sh_degree: int) -> None:
-        self.renderer, self.rows, self.sh_degree = renderer, rows, sh_degree
+    def __init__(self, renderer: Renderer, rows: Rows, sh_degree: int,
+                 shown: Callable[[Array], Rows]) -> None:
+        self.renderer, self.rows, self.sh_degree, self.shown = renderer, rows, sh_degree, shown
         self.weights, self.errors, self.photos = np.zeros((3, len(rows["positions"])))
 
     def add(self, view: ObservedView) -> Floats:
@@ -119,8 +121,8 @@ class _Explained:
 
     def _frame(self, view: ObservedView) -> Frame:
         _, height, width = view.photo.shape
-        return self.renderer.render(
-            self.rows, view.camera, width, height, self.sh_degree, exposure=view.exposure)
+        return self.renderer.render(self.shown(view.camera), view.camera, width, height,
+                                    self.sh_degree, exposure=view.exposure)
 
     def _sums(self, frame: Frame, view: ObservedView, residual: Floats
               ) -> tuple[NDArray[np.uint32], Floats, Floats]:
@@ -210,8 +212,8 @@ class OutlierMasks(Part):
         session.model.catch_up()
         session.step.release()  # these frames have other sizes
         cells = find_outliers(session.renderer, session.model.rows, plan.degree,
-                              lambda: _observed(session))
-        session.device.trim()
+                              lambda: _observed(session), session.model.seen)
+        session.step.release()
         session.photos.ignore(cells)
         self._calm_since = session.iteration
         share = sum(int(each.sum()) for each in cells) / sum(each.size for each in cells)

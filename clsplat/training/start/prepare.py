@@ -18,7 +18,7 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians, mean_inverse_distance
 from clsplat.io.photos.depth import with_depths
-from clsplat.options import RunOptions, ScheduledOptions, TrainOptions
+from clsplat.options import RunOptions, ScheduledOptions, TrainOptions, bytes_of
 from clsplat.placement.corrections import typical_depth
 from clsplat.scene import LEAST_PARALLAX, Scene, View
 from clsplat.schedule.plan import SceneFacts, Schedule
@@ -182,6 +182,7 @@ def find_decisions(survey: Survey, device: Device | None = None, given: Sequence
              "sh_degree": requested(options.sh_degree), **of_parts}
     options = replace(options, **{name: parts[name].value for name in ("init", *of_parts)})
     if device is not None:
+        device.limit_memory(bytes_of(options.memory_budget) if options.memory_budget else None)
         parts["engine"] = _engine(planned_initial(facts, options), options, device)
         options = replace(options, engine=parts["engine"].value)
     return Decisions(options, facts, most, parts,
@@ -194,17 +195,15 @@ def is_stage(options: RunOptions, parts: Iterable[Part]) -> bool:
 
 
 def _engine(facts: SceneFacts, options: ScheduledOptions, device: Device) -> Decision:
-    """The Adam engine: on the device if the largest model fits, with coded moments if that must be.
-    """
+    """The Adam engine: with coded moments if the largest model would not fit well otherwise."""
     if options.engine != AUTO:
         return requested(options.engine)
     unseen = replace(facts, photos=lambda: iter(()))  # reading them would take long
     count = largest(simulate(schedule_of(options.schedule)(options, unseen)))
-    available = device.handle.global_mem_size
+    available = device.memory_limit
     needed = {engine: model_bytes(device, options.sh_degree, count, engine)
               for engine in ("device", "coded")}
-    value = next((engine for engine, size in needed.items() if size < DEVICE_SHARE * available),
-                 "numpy")
+    value = "device" if needed["device"] < DEVICE_SHARE * available else "coded"
     return Decision(value, f"{value}: parameters and moments take up to "
                     f"{needed['device'] / 2**20:,.0f} MiB, coded {needed['coded'] / 2**20:,.0f}, "
                     f"of the device's {available / 2**20:,.0f}")

@@ -1,0 +1,130 @@
+"""Pages of rows beside plain arrays, and which pages a view wants."""
+
+import numpy as np
+import pytest
+
+from clsplat.constants import CATCH_UP_EVERY, COUNT_FAILED, PAGE_ROWS
+from clsplat.errors import TooFewPages
+from clsplat.optimise.pages import Pages, spatial_order
+from clsplat.primitives.compact import new_counts
+from clsplat.rendering.cull import cull
+from tests.kernels.test_lazy_adam import DEFINES, Lazy
+
+WIDTHS = {"sh_rest": ((9,), np.float32), "m_rest": ((9,), np.uint16), "v_rest": ((9,), np.uint8)}
+COUNT = 5 * PAGE_ROWS + 100  # six pages
+
+
+def values_of(count, seed):
+    rng = np.random.default_rng(seed)
+    return {name: rng.integers(1, 200, (count, *shape)).astype(dtype)
+            for name, (shape, dtype) in WIDTHS.items()}
+
+
+def pages_of(device, room, count=COUNT):
+    """(Pages with this many slots, the positions and values of its rows)."""
+    positions = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+    values, found = values_of(count, 1), []
+    found.append(Pages(device, positions, values, lambda: room * found[0].page_bytes))
+    return found[0], positions, values
+
+
+def wanting(*pages, of=6):
+    wanted = np.zeros(of, bool)
+    wanted[list(pages)] = True
+    return wanted
+
+
+def test_rows_near_each_other_share_a_page():
+    positions = np.random.default_rng(0).uniform(size=(40 * PAGE_ROWS, 3))
+    positions[7] = np.nan
+    order = spatial_order(positions)
+    assert np.array_equal(np.sort(order), np.arange(len(positions)))
+    extents = np.nanmax(positions[order].reshape(40, PAGE_ROWS, 3), axis=1) - np.nanmin(
+        positions[order].reshape(40, PAGE_ROWS, 3), axis=1)
+    assert np.median(extents.max(axis=1)) < 0.6  # of 1
+
+
+@pytest.mark.oclgrind
+def test_pages_come_and_go_as_arrays_would_stay(float_device):
+    """Rows of pages that are there change, over and over; in the end each has its changes."""
+    pages, _, values = pages_of(float_device, 3)
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        wanted = wanting(*rng.choice(6, rng.integers(1, 4), replace=False))
+        pages.fetch(wanted)
+        slots = pages.slots.download()
+        there = slots < 2**31
+        assert there[wanted].all() and there.sum() <= 3
+        places = pages.places.download()
+        rows = np.flatnonzero(wanted[places // PAGE_ROWS])
+        lies = pages.rest_of(float_device.upload(rows.astype(np.uint32))).download()
+        pages.note_change()
+        for name, array in pages.arrays.items():
+            present = array.download()
+            assert np.array_equal(present[lies], values[name][rows]), name
+            changed = values[name][rows] + np.asarray(rng.integers(1, 3), values[name].dtype)
+            present[lies] = values[name][rows] = changed
+            array.write(present)
+    for name in values:
+        assert np.array_equal(pages.download(name), values[name]), name
+    with pytest.raises(TooFewPages, match="memory-budget"):
+        pages.fetch(wanting(0, 1, 2, 3))
+    seen = np.concatenate(list(pages.rounds()))
+    assert np.array_equal(np.sort(seen), np.arange(COUNT))
+
+
+def test_pages_follow_growth(float_device):
+    pages, positions, values = pages_of(float_device, 2)
+    rng = np.random.default_rng(3)
+    kept = 3000
+    source = np.concatenate([rng.choice(COUNT, kept, replace=False), rng.choice(COUNT, 2000)])
+    pages.fetch(wanting(1, 4))
+    pages.regrow(source.astype(np.uint32), kept, positions[source], "sh_rest")
+    assert pages.pages == 5 and not pages.room
+    assert np.array_equal(pages.download("sh_rest"), values["sh_rest"][source])
+    for name in ("m_rest", "v_rest"):
+        found = pages.download(name)
+        assert np.array_equal(found[:kept], values[name][source[:kept]]) and not found[kept:].any()
+    pages.write("sh_rest", values["sh_rest"][:10] + 1, 50)
+    pages.fetch(wanting(0, 1, of=5))
+    assert np.array_equal(pages.download("sh_rest")[50:60], values["sh_rest"][:10] + 1)
+
+
+def test_sums_are_those_of_plain_arrays(float_device):
+    pages, _, values = pages_of(float_device, 2)
+    total = pages.add_to("sh_rest", None)
+    total = pages.add_to("sh_rest", total)
+    assert np.array_equal(pages.in_rows(total), 2 * values["sh_rest"])
+    assert np.array_equal(pages.arranged(2 * values["sh_rest"]), total)
+
+
+@pytest.mark.oclgrind
+def test_a_frame_fails_where_a_page_is_not_there(float_device):
+    pages, _, _ = pages_of(float_device, 2)
+    pages.fetch(wanting(0, 3))
+    places = pages.places.download()
+
+    def fails(page, clears=True):
+        flags = np.zeros(COUNT, np.uint32)
+        flags[np.flatnonzero(places // PAGE_ROWS == page)[5]] = 1
+        counts = new_counts(float_device)
+        pages.require(float_device.upload(flags), counts, clears)
+        return bool(counts.download()[COUNT_FAILED])
+
+    assert not fails(3) and fails(5) and not fails(0)
+    assert fails(1, clears=False) and fails(0)  # a step of two views, of which one lacks a page
+    assert not fails(0)
+
+
+@pytest.mark.parametrize("margin", [0.0, 8.0])
+def test_rows_are_flagged_that_are_seen_once_they_have_caught_up(float_device, margin):
+    """All that `cull` will see, and not many more; fresh rows and stale ones."""
+    run = Lazy(float_device, count=900)
+    for _ in range(CATCH_UP_EVERY // 4):
+        run.step()
+    camera = run.camera()
+    flags = run.engine.seen(run.rows, camera, run.steps, margin).download() > 0
+    culled = cull(float_device, run.current(), camera, DEFINES)[0].download() > 0
+    assert flags[culled].all() and culled.sum() > 50
+    assert (flags & ~culled).sum() < (1.5 if margin else 0.5) * culled.sum()  # of 60 x 40 pixels
+    assert (flags >= (run.engine.seen(run.rows, camera, run.steps, 0.0).download() > 0)).all()
