@@ -103,13 +103,14 @@ typedef char the_cutoff_is_high_enough[ALPHA_STEPS <= 255 ? 1 : -1];
 // Whether the image may show a stale row: at least what cull (cull.cl) finds once the row
 // has caught up, from its stale position in the camera's frame, its stale logarithm of its largest
 // scale, and the sums C of positions and scales, which bound how far these may drift. `margin`,
-// pixels, are added to the image on every side. A vreal at a time.
+// pixels, are added to the image on every side, and as many per cent to the near plane. A vreal at
+// a time.
 inline vmask may_be_seen(__global const real *camera, real margin, vreal x, vreal y, vreal z,
                          vreal log_scale, vreal position_sum, vreal scale_sum)
 {
     __global const real *focal = camera + CAMERA_FOCAL, *centre = camera + CAMERA_CENTRE;
     __global const real *size = camera + CAMERA_SIZE, *ratios = camera + CAMERA_RATIOS;
-    const real near = camera[CAMERA_NEAR] / (1 + margin), low_pass = camera[CAMERA_LOW_PASS];
+    const real near = camera[CAMERA_NEAR], low_pass = camera[CAMERA_LOW_PASS];
     const vreal max_drift = (real)(1.7321 * MAX_MOMENTUM_RATIO) * position_sum;
     const vreal nearest = z - max_drift;
     const vreal place_x = x * (1 / z), place_y = y * (1 / z);
@@ -128,7 +129,8 @@ inline vmask may_be_seen(__global const real *camera, real margin, vreal x, vrea
     const vmask inside = TO_MASK(mean_x + extent_x > 0) & TO_MASK(mean_y + extent_y > 0) &
                          TO_MASK(mean_x - extent_x < size[0]) &
                          TO_MASK(mean_y - extent_y < size[1]);
-    return TO_MASK(z + max_drift > near) & (TO_MASK(nearest <= near) | inside);
+    return TO_MASK(z + max_drift > near / (1 + margin / 100)) &
+           (TO_MASK(nearest <= near * (1 + margin / 100)) | inside);
 }
 
 // The sum C of a field by which a row that is not frozen may have drifted.

@@ -25,7 +25,7 @@ from clsplat.errors import OutOfDeviceMemory, TooFewPages
 ABSENT = 1 << 31  # as in cl/include/rest.h
 QUAD = 16  # bytes that a work-item copies
 STAGED_BYTES = 16 << 20  # of pages that are on their way together
-TURNS = 3  # groups of pages that are on their way at the same time, in each direction
+TURNS = 4  # groups of pages that are on their way at the same time
 THREADS = min(8, os.cpu_count() or 1)  # that copy pages in host memory
 BITS = 10  # of each coordinate in the order of pages
 PAGED = (("PAGED", 1),)
@@ -42,14 +42,14 @@ REST_ROWS = Kernel("pages.cl", "rest_rows", each("count"), count="uint", rows=("
 
 
 class _Transit:
-    """Memory in which a group of pages travels, one way.
+    """Memory in which a group of pages travels.
 
     Attributes
     ----------
     staged : by name of an array, uint[most, words of a page], on the device.
     host : the same in host memory.
     list, slots : uint[most], the slots from or to which they travel, on the device and the host.
-    pages : int[], those that are on their way; none: the memory is free.
+    pages : int[], those that are on their way to the host.
     moves : what is under way.
     """
 
@@ -62,9 +62,9 @@ class _Transit:
         self.pages = np.zeros(0, np.int64)
         self.moves: list[Reading | Writing] = []
 
-    def begin(self, slots: NDArray[np.int64], pages: NDArray[np.int64]) -> Array:
+    def begin(self, slots: NDArray[np.int64]) -> Array:
         """Let pages travel from or to slots; the list of these for a kernel."""
-        self.pages, self.slots[:len(slots)] = pages, slots
+        self.slots[:len(slots)] = slots
         self.moves = [Writing(self.list, self.slots)]
         return self.list.narrow(len(slots))
 
@@ -90,6 +90,7 @@ class Pages:
     places : uint[N], the place of a row in the order of all pages.
     slots : uint[pages], where a page is (cl/include/rest.h).
     room : the number of slots; 0: there is no memory on the device.
+    layout : another object after each change of the arrays.
     """
 
     def __init__(self, device: Device, positions: NDArray[np.floating],
@@ -200,9 +201,9 @@ class Pages:
         self._most = self.pages
 
     def _make_slots(self, room: int) -> None:
-        self.room = room
+        self.room, self.layout = room, object()
         self.arrays: dict[str, Array] = {}
-        self._going = self._coming = list[_Transit]()
+        self._transits = list[_Transit]()
         rows = max(1, room * PAGE_ROWS)
         self.arrays = {name: self.device.zeros((rows, *spec.shape), spec.dtype)
                        for name, spec in self._specs.items()}
@@ -213,9 +214,8 @@ class Pages:
         self._now = 0
         self.slots.fill(ABSENT)
         if room:
-            most = max(1, min(STAGED_BYTES // self.page_bytes, room // (8 * TURNS)))
-            self._going, self._coming = (
-                [_Transit(self.device, self._words, most) for _ in range(TURNS)] for _ in range(2))
+            self._transits = [_Transit(self.device, self._words, self._staged_pages(room))
+                              for _ in range(TURNS)]
             self._table = [pinned(self.device, (self.pages,)) for _ in range(TURNS)]
             self._tables: list[Writing | None] = [None for _ in range(TURNS)]
 
@@ -240,7 +240,8 @@ class Pages:
         if self.room < min(number, self._most) or not self.room:
             self.settle()  # there may be memory for more by now
             self._make_slots(0)
-            self._make_slots(min(self._most, max(1, self._free() // self.page_bytes)))
+            free = self._free() // self.page_bytes
+            self._make_slots(min(self._most, max(1, free - TURNS * self._staged_pages(free))))
         if number > self.room:
             raise TooFewPages(
                 f"{self.device.name}: a view sees {number * PAGE_ROWS:,} gaussians, and there is "
@@ -297,16 +298,25 @@ class Pages:
     def settle(self) -> None:
         """Copy all that has changed to the host; the pages stay."""
         self._take_out(np.flatnonzero(self._changed))
-        for transit in self._going:
+        for transit in self._transits:
             self._land(transit)
+
+    def _staged_pages(self, room: int) -> int:
+        """How many pages travel together, with so many slots."""
+        return max(1, min(STAGED_BYTES // self.page_bytes, room // (8 * TURNS)))
+
+    def _next_transit(self) -> _Transit:
+        """The one that began longest ago, free."""
+        self._transits.append(transit := self._transits.pop(0))
+        self._land(transit)
+        return transit
 
     def _take_out(self, slots: NDArray[np.int64]) -> None:
         """Begin to copy the pages of slots to the host."""
         while len(slots):
-            self._going.append(transit := self._going.pop(0))
-            self._land(transit)
+            transit = self._next_transit()
             some, slots = np.split(slots, [len(transit.slots)])
-            listed = transit.begin(some, self._page[some])
+            listed, transit.pages = transit.begin(some), self._page[some]
             for name in self._words:
                 staged = transit.staged[name].narrow(len(some))
                 self._copy(name, listed, staged, False)
@@ -314,7 +324,7 @@ class Pages:
             self._changed[some] = False
 
     def _land(self, transit: _Transit) -> None:
-        """Wait for pages on their way to the host."""
+        """Wait for pages that are on their way."""
         transit.wait()
 
         def land(at: int) -> None:
@@ -326,18 +336,17 @@ class Pages:
 
     def _bring(self, slots: NDArray[np.int64], pages: NDArray[np.int64]) -> None:
         """Begin to copy pages to slots."""
-        for transit in self._going:  # a page may still be on its way to the host
+        for transit in self._transits:  # a page may still be on its way to the host
             if np.isin(pages, transit.pages).any():
                 self._land(transit)
-        for begin in range(0, len(slots), len(self._coming[0].slots)):
-            self._coming.append(transit := self._coming.pop(0))
-            transit.wait()
+        for begin in range(0, len(slots), len(self._transits[0].slots)):
+            transit = self._next_transit()
             some = slice(begin, begin + len(transit.slots))
-            listed = transit.begin(slots[some], pages[some])
+            listed = transit.begin(slots[some])
 
-            def load(at: int, transit: _Transit = transit) -> None:
+            def load(at: int, transit: _Transit = transit, begin: int = begin) -> None:
                 for name, values in transit.host.items():
-                    values[at] = self._stores[name][transit.pages[at]]
+                    values[at] = self._stores[name][pages[begin + at]]
 
             self._in_threads(load, range(len(listed)))
             for name in self._words:

@@ -27,7 +27,7 @@ from clsplat.rendering.pipeline import Frame, Renderer
 DEVICE_SHARE = 1 / 3
 FRAME_SHARE = 0.2  # of the device's memory that pages leave free for frames
 GIVEN_SHARE = 0.04  # of the device's memory that pages give back at a time
-CHUNK_ROWS = 1 << 20  # that are copied to the host together
+CHUNK_ROWS = 1 << 18  # that are copied to the host together
 MARGIN, MARGIN_AHEAD = 1.0, 8.0  # pixels beside an image of which pages are wanted: now, and soon
 Adam = DeviceAdam | NumpyAdam
 Result = TypeVar("Result")
@@ -91,7 +91,7 @@ class Model:
     @property
     def memory(self) -> object:
         """Another object after each change of the arrays."""
-        return self.pages.arrays if self.pages else self.layout
+        return self.pages.layout if self.pages else self.layout
 
     @property
     def learned(self) -> dict[str, Array]:
@@ -132,6 +132,9 @@ class Model:
     def download(self, stored: bool = False) -> Gaussians:
         """Copy the rows to the host, as they are after the last step, or for a checkpoint as they
         are stored."""
+        return self.within(partial(self._download, stored))
+
+    def _download(self, stored: bool) -> Gaussians:
         rows = {name: self.field(name) for name in (*self._arrays, "sh_rest")}
         if not (stored or isinstance(self.adam, NumpyAdam) or self.adam.is_current):
             for chosen in self._chunks():

@@ -5,7 +5,7 @@ import pytest
 
 from clsplat.constants import CATCH_UP_EVERY, COUNT_FAILED, PAGE_ROWS
 from clsplat.errors import TooFewPages
-from clsplat.optimise.pages import Pages, spatial_order
+from clsplat.optimise.pages import TURNS, Pages, spatial_order
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.cull import cull
 from tests.kernels.test_lazy_adam import DEFINES, Lazy
@@ -24,7 +24,7 @@ def pages_of(device, room, count=COUNT):
     """(Pages with this many slots, the positions and values of its rows)."""
     positions = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
     values, found = values_of(count, 1), []
-    found.append(Pages(device, positions, values, lambda: room * found[0].page_bytes))
+    found.append(Pages(device, positions, values, lambda: (room + TURNS) * found[0].page_bytes))
     return found[0], positions, values
 
 

@@ -8,6 +8,7 @@ from clsplat.constants import CATCH_UP_EVERY, PAGE_ROWS
 from clsplat.densify.grow import Growth
 from clsplat.errors import OutOfDeviceMemory, TooFewPages
 from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.optimise.pages import TURNS
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule.plan import Plan
@@ -20,12 +21,12 @@ from clsplat.training.step import Step
 DEGREE, COUNT, WIDTH, HEIGHT, VIEWS = 1, 6 * PAGE_ROWS - 50, 40, 24, 7
 
 
-def row_of_gaussians():
+def row_of_gaussians(count=COUNT):
     """Gaussians along 60 units, of which a camera sees about an eighth."""
     rng = np.random.default_rng(0)
-    rows = {f.name: rng.normal(size=(COUNT, *f.row_shape(DEGREE))) for f in LEARNED}
+    rows = {f.name: rng.normal(size=(count, *f.row_shape(DEGREE))) for f in LEARNED}
     rows["positions"] *= 0.5, 0.5, 0.1
-    rows["positions"][:, 0] = rng.uniform(0, 60, COUNT)
+    rows["positions"][:, 0] = rng.uniform(0, 60, count)
     rows["log_scales"] = rows["log_scales"] * 0.2 - 3
     return Gaussians({name: values.astype(np.float32) for name, values in rows.items()}, DEGREE)
 
@@ -33,16 +34,16 @@ def row_of_gaussians():
 class Run:
     """A training of these gaussians, with so many pages on the device at a time, or all of them."""
 
-    def __init__(self, device, monkeypatch, room, engine="device", batch=1):
+    def __init__(self, device, monkeypatch, room, engine="device", batch=1, count=COUNT):
         self.device, self.batch = device, batch
         if room:
             monkeypatch.setattr(Model, "_free_bytes", lambda model: (
-                room * model.pages.page_bytes if model.pages else 0))
-        self.model = Model(device, row_of_gaussians(), engine)
+                (room + TURNS) * model.pages.page_bytes if model.pages else 0))
+        self.model = Model(device, row_of_gaussians(count), engine)
         monkeypatch.undo()
         if room:  # in later rounds, too
             pages = self.model.pages
-            pages._free = lambda: room * pages.page_bytes
+            pages._free = lambda: (room + TURNS) * pages.page_bytes
         self.renderer = Renderer(device, DEGREE, 0.1)
         self.step = Step(self.renderer, self.model, 1.0, 1e-3,
                          TrainOptions(iterations=300, batch=batch), [ImageTerm()])
@@ -140,11 +141,12 @@ def test_pages_give_memory_back_for_frames(float_device, monkeypatch):
     """Under a budget that frames exceed at first, with the same bytes."""
     results = []
     for bounded in (False, True):
-        run = Run(float_device, monkeypatch, 0)
+        run = Run(float_device, monkeypatch, 0, count=4 * COUNT)
         if bounded:
             float_device.trim()
-            monkeypatch.setattr(float_device, "memory_limit", float_device.memory_bytes + 1000)
+            monkeypatch.setattr(float_device, "memory_limit", float_device.memory_bytes + 100_000)
             monkeypatch.setattr(models, "GIVEN_SHARE", 0.01)
+            monkeypatch.setattr(models, "FRAME_SHARE", 0.0)  # so that they are missing at first
         run.take(12)
         results.append(run.arrays())
         assert (run.model.pages is not None) == bounded
