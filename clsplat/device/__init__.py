@@ -8,12 +8,12 @@ downloads.
 """
 
 import clsplat.device.runtimes  # noqa: F401  (before anything imports pyopencl)
-from clsplat.device.array import Array, ArraySpec, Reading, Writing, pinned
+from clsplat.device.array import Array, ArraySpec, Reading, Transfers, Writing, pinned
 from clsplat.device.device import Device, Handle
 from clsplat.device.find import choose_device, choose_handle, list_devices
 from clsplat.device.graph import Graph
 from clsplat.device.kernel import Either, Forms, Kernel, Only, each, groups, items
 
 __all__ = ["Array", "ArraySpec", "Device", "Either", "Forms", "Graph", "Handle", "Kernel", "Only",
-           "Reading", "Writing", "choose_device", "choose_handle", "each", "groups", "items",
-           "list_devices", "pinned"]
+           "Reading", "Transfers", "Writing", "choose_device", "choose_handle", "each", "groups",
+           "items", "list_devices", "pinned"]

@@ -145,6 +145,38 @@ class Writing:
         self._event.wait()
 
 
+class Transfers:
+    """A second queue of a device, on which arrays travel beside its kernels. An event is a point
+    that one queue can wait for the other to reach; `wait` of it lets the host wait."""
+
+    def __init__(self, device: Device) -> None:
+        self._kernels, self._queue = device.queue, cl.CommandQueue(device.context, device.handle)
+
+    def after_kernels(self) -> cl.Event:
+        """The end of all kernels so far."""
+        event = cl.enqueue_marker(self._kernels)
+        self._kernels.flush()
+        return event
+
+    def let_kernels_wait(self, event: cl.Event) -> None:
+        """Let all kernels that follow wait for an event."""
+        cl.enqueue_barrier(self._kernels, wait_for=[event])
+
+    def read(self, array: Array, host: NDArray[Any], after: cl.Event) -> cl.Event:
+        """Begin to copy an array to the host; the end of it."""
+        event: cl.Event = cl.enqueue_copy(self._queue, host, array.buffer, is_blocking=False,
+                                          wait_for=[after])
+        self._queue.flush()
+        return event
+
+    def write(self, array: Array, host: NDArray[Any], after: cl.Event | None) -> cl.Event:
+        """Begin to overwrite an array with values that stay till the end of it."""
+        event: cl.Event = cl.enqueue_copy(self._queue, array.buffer, host, is_blocking=False,
+                                          wait_for=[after] if after else None)
+        self._queue.flush()
+        return event
+
+
 def pinned(device: Device, shape: tuple[int, ...]) -> NDArray[np.uint32]:
     """uint32 in host memory that a device reads and writes at full speed, as it is never paged out.
     """

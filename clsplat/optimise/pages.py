@@ -13,19 +13,20 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.constants import FRAME_COUNTS, PAGE_ROWS
-from clsplat.device import Array, ArraySpec, Device, Kernel, Reading, Writing, each, pinned
+from clsplat.device import Array, ArraySpec, Device, Kernel, Transfers, Writing, each, pinned
 from clsplat.errors import OutOfDeviceMemory, TooFewPages
 
 ABSENT = 1 << 31  # as in cl/include/rest.h
 QUAD = 16  # bytes that a work-item copies
-STAGED_BYTES = 16 << 20  # of pages that are on their way together
-TURNS = 4  # groups of pages that are on their way at the same time
+STAGED_BYTES = 32 << 20  # of pages that are on their way together
+TURNS = 8  # groups of pages that are on their way at the same time
 THREADS = min(8, os.cpu_count() or 1)  # that copy pages in host memory
 BITS = 10  # of each coordinate in the order of pages
 PAGED = (("PAGED", 1),)
@@ -50,7 +51,8 @@ class _Transit:
     host : the same in host memory.
     list, slots : uint[most], the slots from or to which they travel, on the device and the host.
     pages : int[], those that are on their way to the host.
-    moves : what is under way.
+    travelled : what the host waits for before it uses this memory again.
+    used : the end of the last kernel that used this memory.
     """
 
     def __init__(self, device: Device, words: Mapping[str, int], most: int) -> None:
@@ -60,19 +62,16 @@ class _Transit:
         self.list = device.allocate(most, np.uint32)
         self.slots = pinned(device, (most,))
         self.pages = np.zeros(0, np.int64)
-        self.moves: list[Reading | Writing] = []
+        self.travelled: list[Any] = []
+        self.used: Any = None
 
-    def begin(self, slots: NDArray[np.int64]) -> Array:
-        """Let pages travel from or to slots; the list of these for a kernel."""
-        self.slots[:len(slots)] = slots
-        self.moves = [Writing(self.list, self.slots)]
-        return self.list.narrow(len(slots))
 
-    def wait(self) -> None:
-        """Wait until the memory can be used again."""
-        for move in self.moves:
-            move.wait()
-        self.moves = []
+@dataclass(eq=False)
+class _Table:
+    """A copy of `Pages.slots` in host memory, and its way to the device."""
+
+    host: NDArray[np.uint32]
+    writing: Writing | None = None
 
 
 class Pages:
@@ -96,7 +95,7 @@ class Pages:
     def __init__(self, device: Device, positions: NDArray[np.floating],
                  values: Mapping[str, NDArray[Any]], free: Callable[[], int]) -> None:
         self.device, self._free = device, free
-        self._threads = ThreadPoolExecutor(THREADS)
+        self._threads, self._transfers = ThreadPoolExecutor(THREADS), Transfers(device)
         self._specs = {name: ArraySpec(of_rows.shape[1:], of_rows.dtype)
                        for name, of_rows in values.items()}
         self._words = {name: PAGE_ROWS * spec.nbytes(device.real) // 4
@@ -216,8 +215,7 @@ class Pages:
         if room:
             self._transits = [_Transit(self.device, self._words, self._staged_pages(room))
                               for _ in range(TURNS)]
-            self._table = [pinned(self.device, (self.pages,)) for _ in range(TURNS)]
-            self._tables: list[Writing | None] = [None for _ in range(TURNS)]
+            self._tables = [_Table(pinned(self.device, (self.pages,))) for _ in range(TURNS)]
 
     def shrink(self, nbytes: int) -> None:
         """Give back at least so many bytes of slots; OutOfDeviceMemory where there are none."""
@@ -261,6 +259,7 @@ class Pages:
         self._slot[gone[gone >= 0]] = -1
         self._slot[missing], self._page[taken], self._used[taken] = taken, missing, self._now
         self._bring(taken, missing)
+        self._write_table()
 
     def bring(self, wanted: NDArray[np.bool_]) -> bool:
         """As `fetch`; False where these pages do not fit."""
@@ -316,16 +315,22 @@ class Pages:
         while len(slots):
             transit = self._next_transit()
             some, slots = np.split(slots, [len(transit.slots)])
-            listed, transit.pages = transit.begin(some), self._page[some]
+            self._begin(transit, some)
+            self._transfers.let_kernels_wait(transit.travelled[-1])
             for name in self._words:
-                staged = transit.staged[name].narrow(len(some))
-                self._copy(name, listed, staged, False)
-                transit.moves.append(Reading(staged, transit.host[name][:len(some)]))
+                self._copy(name, transit, len(some), False)
+            transit.used, transit.pages = self._transfers.after_kernels(), self._page[some]
+            transit.travelled += [
+                self._transfers.read(transit.staged[name].narrow(len(some)),
+                                     transit.host[name][:len(some)], transit.used)
+                for name in self._words]
             self._changed[some] = False
 
     def _land(self, transit: _Transit) -> None:
         """Wait for pages that are on their way."""
-        transit.wait()
+        for event in transit.travelled:
+            event.wait()
+        transit.travelled.clear()
 
         def land(at: int) -> None:
             for name, values in transit.host.items():
@@ -339,33 +344,48 @@ class Pages:
         for transit in self._transits:  # a page may still be on its way to the host
             if np.isin(pages, transit.pages).any():
                 self._land(transit)
-        for begin in range(0, len(slots), len(self._transits[0].slots)):
+        while len(slots):
             transit = self._next_transit()
-            some = slice(begin, begin + len(transit.slots))
-            listed = transit.begin(slots[some])
+            most = [len(transit.slots)]
+            (some, slots), (coming, pages) = np.split(slots, most), np.split(pages, most)
 
-            def load(at: int, transit: _Transit = transit, begin: int = begin) -> None:
+            def load(at: int, transit: _Transit = transit,
+                     coming: NDArray[np.int64] = coming) -> None:
                 for name, values in transit.host.items():
-                    values[at] = self._stores[name][pages[begin + at]]
+                    values[at] = self._stores[name][coming[at]]
 
-            self._in_threads(load, range(len(listed)))
+            self._in_threads(load, range(len(some)))
+            self._begin(transit, some)
             for name in self._words:
-                staged = transit.staged[name].narrow(len(listed))
-                transit.moves.append(Writing(staged, transit.host[name][:len(listed)]))
-                self._copy(name, listed, staged, True)
-        self._tables.append(last := self._tables.pop(0))
-        self._table.append(table := self._table.pop(0))
-        if last:
-            last.wait()
-        table[:] = np.where(self._slot < 0, ABSENT, self._slot)
-        self._tables[-1] = Writing(self.slots, table)
+                transit.travelled.append(self._transfers.write(
+                    transit.staged[name].narrow(len(some)), transit.host[name][:len(some)],
+                    transit.used))
+            self._transfers.let_kernels_wait(transit.travelled[-1])
+            for name in self._words:
+                self._copy(name, transit, len(some), True)
+            transit.used = self._transfers.after_kernels()
 
-    def _copy(self, name: str, slots: Array, staged: Array, brings: bool) -> None:
+    def _begin(self, transit: _Transit, slots: NDArray[np.int64]) -> None:
+        """Bring the list of slots from or to which pages travel."""
+        transit.slots[:len(slots)] = slots
+        transit.travelled.append(self._transfers.write(transit.list, transit.slots, transit.used))
+
+    def _write_table(self) -> None:
+        """Let the kernels that follow know where pages are."""
+        turn = self._tables.pop(0)
+        if turn.writing:
+            turn.writing.wait()
+        turn.host[:] = np.where(self._slot < 0, ABSENT, self._slot)
+        turn.writing = Writing(self.slots, turn.host)
+        self._tables.append(turn)
+
+    def _copy(self, name: str, transit: _Transit, count: int, brings: bool) -> None:
+        """Copy pages of an array between their slots and the memory of a transit."""
         array = self.arrays[name]
         pages = array.reshaped(self.room, math.prod(array.shape) // self.room)
-        self.device.launch(COPY, count=len(slots), quads=4 * self._words[name] // QUAD,
-                           brings=int(brings), list=slots, slots=pages.viewed(np.uint32),
-                           staged=staged)
+        self.device.launch(COPY, count=count, quads=4 * self._words[name] // QUAD,
+                           brings=int(brings), list=transit.list.narrow(count),
+                           slots=pages.viewed(np.uint32), staged=transit.staged[name].narrow(count))
 
     def _in_threads(self, work: Callable[[int], Any], numbers: Iterable[int]) -> None:
         for _ in self._threads.map(work, numbers):

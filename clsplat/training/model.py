@@ -286,14 +286,15 @@ class Model:
     def fetch(self, views: Iterable[tuple[int, Array]], degree: int) -> None:
         """Bring the pages that the samples of a step want, by their numbers and packed cameras."""
         if self.pages and degree:
-            wanted, views = np.zeros(self.pages.pages, bool), tuple(views)
+            views = tuple(views)
             for number in [asked for asked in self._asked if asked < views[0][0]]:
                 del self._asked[number]
-            for number, camera in views:
-                asked = self._asked.get(number)
-                wanted |= (asked.values() if asked else
-                           self._wanted(camera, MARGIN_AHEAD).download()) > 0
-            self.pages.fetch(wanted)
+            wanted = np.any([(self._asked[number].values() if number in self._asked else
+                              self._wanted(camera, MARGIN).download()) > 0
+                             for number, camera in views], axis=0)
+            if not self.pages.bring(wanted):  # perhaps it wants less by now
+                self.pages.fetch(np.any([self._wanted(camera, MARGIN).download() > 0
+                                         for _, camera in views], axis=0))
             self.pages.note_change()
 
     def _wanted(self, camera: Array, margin: float) -> Array:

@@ -122,18 +122,15 @@ def test_bytes_do_not_depend_on_the_room(float_device, monkeypatch, engine, batc
 
 def test_a_page_that_nobody_asked_for_is_fetched_after_all(float_device, monkeypatch):
     """The frame fails and is repeated, with those that follow it."""
-    results, repeated = [], []
-    for room in (0, 3):
-        run = Run(float_device, monkeypatch, room)
-        if room:
-            look_ahead, room_made = run.model.look_ahead, run.step._make_room
-            monkeypatch.setattr(run.model, "look_ahead", lambda number, camera: look_ahead(
-                number, run.cameras[0] if number % 4 == 0 else camera))
-            monkeypatch.setattr(run.step, "_make_room", lambda given: (
-                repeated.append(given.sample.number), room_made(given)))
+    whole, paged = Run(float_device, monkeypatch, 0), Run(float_device, monkeypatch, 3)
+    look_ahead, room_made, repeated = paged.model.look_ahead, paged.step._make_room, []
+    monkeypatch.setattr(paged.model, "look_ahead", lambda number, camera: look_ahead(
+        number, paged.cameras[0] if number % 4 == 0 else camera))
+    monkeypatch.setattr(paged.step, "_make_room", lambda given: (
+        repeated.append(given.sample.number), room_made(given)))
+    for run in (whole, paged):
         run.take(40)
-        results.append(run.arrays())
-    check_same(*results)
+    check_same(whole.arrays(), paged.arrays())
     assert len(repeated) > 2  # the first one measures frames
 
 
@@ -141,7 +138,7 @@ def test_pages_give_memory_back_for_frames(float_device, monkeypatch):
     """Under a budget that frames exceed at first, with the same bytes."""
     results = []
     for bounded in (False, True):
-        run = Run(float_device, monkeypatch, 0, count=4 * COUNT)
+        run = Run(float_device, monkeypatch, 0, count=6 * COUNT)
         if bounded:
             float_device.trim()
             monkeypatch.setattr(float_device, "memory_limit", float_device.memory_bytes + 100_000)
