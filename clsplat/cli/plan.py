@@ -86,6 +86,8 @@ def _memory(forecast: Forecast, device: Device) -> str:
     text = (f"{memory.total / MIB:,.0f} MiB at most, of {available / MIB:,.0f}: "
             f"{forecast.gaussians:,} gaussians {memory.model / MIB:,.0f}, photos "
             f"{memory.photos / MIB:,.0f}, the rest for the step")
+    if memory.waits:
+        return f"{text}; {memory.waits / MIB:,.0f} MiB of harmonics wait in host memory"
     return text if memory.total < available else f"{text}; does not fit: use --max-gaussians or -r"
 
 

@@ -27,7 +27,7 @@ from clsplat.schedule.plan import size_at
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.schedule.steps import laid_over
 from clsplat.training import photos as photo_store
-from clsplat.training.model import ENGINES, Model
+from clsplat.training.model import ENGINES, Model, is_pageable, paged_arrays
 from clsplat.training.photos import SMALL_SIDE, at_level, decoded, with_side
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
@@ -57,6 +57,8 @@ class Memory:
     photos : photos of the level with most, which are part of it.
     resident : whether photos stay on the device at every level.
     model : parameters and moments at the end.
+    waits : harmonics and their moments, in host memory and not on the device where all do not fit;
+        0: all fit.
     """
 
     total: int
@@ -64,6 +66,7 @@ class Memory:
     photos: int
     resident: bool
     model: int
+    waits: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,9 +284,13 @@ def predicted_memory(device: Device, prepared: PreparedScene, names: Iterable[st
     sums = sum(spec.nbytes(device.real) for spec in learned.values())
     copies = 1 + (prepared.options.average > 0)
     total = max(total, nbytes + int(frame) + sum(model) + copies * sums)
-    return Memory(max(total, steps), steps,
-                  max(nbytes * resident for nbytes, resident in photos.values()),
-                  all(resident for _, resident in photos.values()), sum(model))
+    total, limit, waits = max(total, steps), device.memory_limit, 0
+    if total > limit and is_pageable(prepared.options):
+        count = max(segment.gaussians for segment in segments)
+        total, steps, waits = limit, min(steps, limit), sum(
+            spec.nbytes(device.real) for spec in paged_arrays(prepared.options, count))
+    return Memory(total, steps, max(nbytes * resident for nbytes, resident in photos.values()),
+                  all(resident for _, resident in photos.values()), sum(model), waits)
 
 
 def photo_bytes(device: Device, views: Sequence[View], level: float) -> tuple[int, bool]:
@@ -300,6 +307,7 @@ def _model_bytes(device: Device, prepared: PreparedScene, names: Iterable[str], 
     options = prepared.options
     rows = Model.arrays(names, options.sh_degree, count)
     moments = ENGINES[options.engine].arrays({field.name: rows[field.name] for field in LEARNED})
-    sizes = [spec.nbytes(device.real) for fields in (rows, *moments) for spec in fields.values()]
-    device.check_size(max(sizes))
-    return sizes
+    pages = paged_arrays(options, count) if is_pageable(options) else []  # may be of any size
+    specs = [spec for fields in (rows, *moments) for spec in fields.values()]
+    device.check_size(max(spec.nbytes(device.real) for spec in specs if spec not in pages))
+    return [spec.nbytes(device.real) for spec in specs]

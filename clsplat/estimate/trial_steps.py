@@ -57,7 +57,7 @@ class SizedPhotos(Photos):
     One photo of each size is read and used for all views of that size.
     """
 
-    resident = True
+    resident, folder = True, None
 
     def __init__(self, device: Device, views: Sequence[View], level: float) -> None:
         self.device, self.level = device, level

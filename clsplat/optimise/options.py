@@ -21,8 +21,8 @@ class OptimiseOptions:
                         "gaussians once, and a step takes as many times longer", minimum=1,
                         most=1024, measured=True)
     engine: str = option("auto", "Optimisation", "where Adam's moments are kept: device, coded on "
-                         "it in three bytes in place of eight, or numpy in host memory; auto: the "
-                         "first of these that fits",
+                         "it in three bytes in place of eight, or numpy in host memory; auto: "
+                         "device, or coded if all would take more than a third of its memory",
                          choices=("auto", "device", "coded", "numpy"), flag=False)
     position_noise: float = option(
         0.0, "Optimisation", "random steps of nearly transparent gaussians, as a multiple of the "

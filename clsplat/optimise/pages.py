@@ -2,18 +2,20 @@
 
 Three quarters of a gaussian are its harmonics above the constant and their moments, and only a view
 that sees it needs them. Rows that are near each other in space share a page of PAGE_ROWS. All pages
-are in host memory; those that views see now have a slot on the device. What is computed does not
-depend on which these are: a frame that wants a page without a slot fails, and is repeated once the
-page is there (units.py).
+are in host memory, or in a file where that is too small; those that views see now have a slot on
+the device. What is computed does not depend on which these are: a frame that wants a page without a
+slot fails, and is repeated once the page is there (units.py).
 """
 
 from __future__ import annotations
 
 import math
 import os
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,12 +23,13 @@ from numpy.typing import NDArray
 
 from clsplat.constants import FRAME_COUNTS, PAGE_ROWS
 from clsplat.device import Array, ArraySpec, Device, Kernel, Transfers, Writing, each, pinned
-from clsplat.errors import OutOfDeviceMemory, TooFewPages
+from clsplat.errors import InputError, OutOfDeviceMemory, TooFewPages, reason
 
 ABSENT = 1 << 31  # as in cl/include/rest.h
 QUAD = 16  # bytes that a work-item copies
 STAGED_BYTES = 32 << 20  # of pages that are on their way together
 TURNS = 8  # groups of pages that are on their way at the same time
+HOST_SHARE = 0.5  # of the host's memory that pages may take
 THREADS = min(8, os.cpu_count() or 1)  # that copy pages in host memory
 BITS = 10  # of each coordinate in the order of pages
 PAGED = (("PAGED", 1),)
@@ -82,6 +85,7 @@ class Pages:
     positions : float[N, 3], by which rows are put in pages.
     values : name of an array -> [N, *row shape], whose values are copied.
     free : returns how many bytes of device memory pages may take now.
+    folder : of the file of what host memory cannot hold; None: that of temporary files.
 
     Attributes
     ----------
@@ -93,8 +97,9 @@ class Pages:
     """
 
     def __init__(self, device: Device, positions: NDArray[np.floating],
-                 values: Mapping[str, NDArray[Any]], free: Callable[[], int]) -> None:
-        self.device, self._free = device, free
+                 values: Mapping[str, NDArray[Any]], free: Callable[[], int],
+                 folder: Path | None = None) -> None:
+        self.device, self._free, self._folder = device, free, folder
         self._threads, self._transfers = ThreadPoolExecutor(THREADS), Transfers(device)
         self._specs = {name: ArraySpec(of_rows.shape[1:], of_rows.dtype)
                        for name, of_rows in values.items()}
@@ -120,7 +125,24 @@ class Pages:
         self._wanted = self.device.zeros(self.pages, np.uint32)  # by frames under way
 
     def _new_store(self, name: str) -> NDArray[np.uint32]:
-        return np.zeros((self.pages, self._words[name]), np.uint32)
+        """Zeros for all pages of an array; in a file without a name where the host has too little
+        memory for all arrays."""
+        shape, needed = (self.pages, self._words[name]), self.pages * self.page_bytes
+        if needed <= HOST_SHARE * host_memory():
+            return np.zeros(shape, np.uint32)
+        folder = self._folder or Path(tempfile.gettempdir())
+        nbytes = 4 * math.prod(shape)
+        try:
+            with tempfile.TemporaryFile(dir=folder) as file:
+                if hasattr(os, "posix_fallocate"):  # or a full disk would end the process later
+                    os.posix_fallocate(file.fileno(), 0, nbytes)
+                    return np.memmap(file, np.uint32, "r+", shape=shape)
+                return np.memmap(file, np.uint32, "w+", shape=shape)
+        except OSError as error:
+            raise InputError(
+                f"{folder}: no room for {nbytes >> 20:,} MiB of gaussians that fit neither the "
+                f"device nor the host's memory ({reason(error)}); free some, or use "
+                "--max-gaussians") from None
 
     def _rows_of(self, name: str) -> NDArray[Any]:
         """[pages * PAGE_ROWS, *row shape], a store by places."""
@@ -415,6 +437,14 @@ class Pages:
         self.device.launch(REST_ROWS, PAGED, count=len(rows), rows=rows, places=self.places,
                            slots=self.slots, lies=lies)
         return lies
+
+
+def host_memory() -> float:
+    """Bytes of memory of this computer, as far as that can be known."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError, OSError):
+        return math.inf
 
 
 def spatial_order(positions: NDArray[np.floating]) -> NDArray[np.uint32]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,6 +18,7 @@ from clsplat.gaussians import FIELDS, LEARNED, Gaussians
 from clsplat.optimise.adam import MOMENTS_OF_REST, CodedAdam, DeviceAdam
 from clsplat.optimise.numpy_adam import NumpyAdam
 from clsplat.optimise.pages import Pages
+from clsplat.options import ScheduledOptions
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.gather import gather, scatter
 from clsplat.primitives.reduce import add_to
@@ -39,11 +41,14 @@ class Model:
     """Rows of gaussians on the device, and an Adam engine whose moments follow them.
 
     The moments are kept by `engine` "device", "coded" or "numpy". Where the device has no memory
-    for all of them, the harmonics above the constant and their moments are in `pages`.
+    for all of them, the harmonics above the constant and their moments are in `pages`, of which the
+    `folder` has the file if they fit no memory.
     `layout` is another object after each change of the number of gaussians.
     """
 
-    def __init__(self, device: Device, gaussians: Gaussians, engine: str = "device") -> None:
+    def __init__(self, device: Device, gaussians: Gaussians, engine: str = "device",
+                 folder: Path | None = None) -> None:
+        self._folder = folder
         self.device, self.sh_degree = device, gaussians.sh_degree
         self.frozen: Array | None = None  # uint[count], not 0 for those that are not trained
         self.count, self.layout = gaussians.count, object()
@@ -64,7 +69,7 @@ class Model:
     def _make_pages(self, positions: NDArray[np.floating], sh_rest: NDArray[np.floating],
                     moments: dict[str, NDArray[Any]]) -> Pages:
         return Pages(self.device, positions, {"sh_rest": sh_rest.astype(self.device.real),
-                                              **moments}, self._free_bytes)
+                                              **moments}, self._free_bytes, self._folder)
 
     def _free_bytes(self) -> int:
         """Bytes that arrays of the model may take, so that frames find room."""
@@ -335,6 +340,18 @@ def model_bytes(device: Device, sh_degree: int, count: int, engine: str) -> int:
     rows = Model.arrays([field.name for field in LEARNED], sh_degree, count)
     return sum(spec.nbytes(device.real) for specs in (rows, *ENGINES[engine].arrays(rows))
                for spec in specs.values())
+
+
+def is_pageable(options: ScheduledOptions) -> bool:
+    """Whether harmonics of a training can be paged."""
+    return options.sh_degree > 0 and issubclass(ENGINES[options.engine], DeviceAdam)
+
+
+def paged_arrays(options: ScheduledOptions, count: int) -> list[ArraySpec]:
+    """What is in pages where it is paged: harmonics above the constant and their two moments."""
+    rows = Model.arrays([field.name for field in LEARNED], options.sh_degree, count)
+    m, v, _ = ENGINES[options.engine].arrays(rows)
+    return [rows["sh_rest"], m["rest"], v["rest"]]
 
 
 def checkpoint_bytes(count: int, sh_degree: int) -> int:

@@ -269,7 +269,7 @@ class Photos:
     def __init__(self, device: Device, views: Sequence[View], levels: Sequence[float] = (1.0,),
                  budget_bytes: int | None = None, folder: Path | None = None,
                  level: float = 0.0, begun: tuple[float, PhotoStore] | None = None) -> None:
-        self.device, self._full, self._levels, self._folder = device, views, levels, folder
+        self.device, self._full, self._levels, self.folder = device, views, levels, folder
         self._budget = _budget(device) if budget_bytes is None else budget_bytes
         self._threads = ThreadPoolExecutor(1)
         self._ahead: dict[int, Future[Photo]] = {}
@@ -302,7 +302,7 @@ class Photos:
             if store:
                 store.close()
         else:
-            store = store or _stored(self.views, THREADS, HOST_BYTES, self._folder)
+            store = store or _stored(self.views, THREADS, HOST_BYTES, self.folder)
             if first:
                 store.wait()
                 for _ in decoded(self.views[store.count:]):
@@ -314,7 +314,7 @@ class Photos:
         self.read_seconds = time.perf_counter() - begin
         for following in [new for new in self._levels if new < level][:1]:
             self._stores[following] = _stored(at_level(self._full, following), THREADS_BESIDE,
-                                              HOST_BYTES // 2, self._folder)
+                                              HOST_BYTES // 2, self.folder)
 
     def _close_stores(self) -> None:
         for store in self._stores.values():

@@ -58,7 +58,7 @@ class Session:
         self.parts = parts_of(prepared)
         for part in self.parts:
             part.begin(self)
-        model = Model(device, gaussians, options.engine)
+        model = Model(device, gaussians, options.engine, photos.folder)
         self.step = Step(self.renderer, model, self.scene.extent, prepared.pixel, options,
                          self.parts)
         self._epoch = -1, np.zeros(0, np.int64)  # the latest one, and the order of its views

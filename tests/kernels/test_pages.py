@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.constants import CATCH_UP_EVERY, COUNT_FAILED, PAGE_ROWS
-from clsplat.errors import TooFewPages
+from clsplat.errors import InputError, TooFewPages
 from clsplat.optimise.pages import TURNS, Pages, spatial_order
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.cull import cull
@@ -88,6 +88,28 @@ def test_pages_follow_growth(float_device):
     pages.write("sh_rest", values["sh_rest"][:10] + 1, 50)
     pages.fetch(wanting(0, 1, of=5))
     assert np.array_equal(pages.download("sh_rest")[50:60], values["sh_rest"][:10] + 1)
+
+
+def test_pages_that_fit_no_memory_are_in_a_file(item_device, monkeypatch, tmp_path):
+    """In a folder where nothing is left of it; a full disk is one clear line."""
+    monkeypatch.setattr("clsplat.optimise.pages.host_memory", lambda: 0.0)
+    values = values_of(COUNT, 1)
+    positions = np.random.default_rng(0).normal(size=(COUNT, 3)).astype(np.float32)
+    made = []
+    made.append(Pages(item_device, positions, values, lambda: 20 * made[0].page_bytes, tmp_path))
+    pages = made[0]
+    assert all(isinstance(store, np.memmap) for store in pages._stores.values())
+    pages.fetch(wanting(2, 5))
+    pages.note_change()
+    assert all(np.array_equal(pages.download(name), values[name]) for name in values)
+    assert not list(tmp_path.iterdir())
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.posix_fallocate", full, raising=False)
+    with pytest.raises(InputError, match="no room for .*No space left"):
+        pages.regrow(np.arange(COUNT, dtype=np.uint32), COUNT, positions, "sh_rest")
 
 
 def test_sums_are_those_of_plain_arrays(float_device):
