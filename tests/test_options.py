@@ -60,8 +60,9 @@ def another(field):
         return meta["choices"][-1], [flag, meta["choices"][-1]]
     if default == ():
         return (9, 7, 1), [flag, "9,7", flag, "1"]
-    if field.name == "time_budget":
-        return "90s", [flag, "90s"]
+    if field.name in ("time_budget", "memory_budget"):
+        value = "90s" if field.name == "time_budget" else "96MiB"
+        return value, [flag, value]
     if isinstance(default, tuple):
         return (0.5, 0.25, 1.0), [flag, "0.5", "0.25", "1.0"]
     if field.type is str:

@@ -254,8 +254,13 @@ class Pages:
         """Note that a launch that follows may change all pages that have a slot."""
         self._changed[self._page >= 0] = True
 
-    def fetch(self, wanted: NDArray[np.bool_]) -> None:
-        """Bring pages, bool[pages], to the device; OutOfDeviceMemory where they do not fit."""
+    def fetch(self, wanted: NDArray[np.bool_],
+              wanted_next: Callable[[], NDArray[np.integer]] | None = None) -> None:
+        """Bring pages, bool[pages], to the device; TooFewPages where they do not fit.
+
+        `wanted_next` returns when each page will be wanted again, int[pages]: those that will be
+        last leave first (Belady 1966), and of these those that were not wanted for longest.
+        """
         number = int(wanted.sum())
         if self.room < min(number, self._most) or not self.room:
             self.settle()  # there may be memory for more by now
@@ -273,9 +278,12 @@ class Pages:
         missing = np.flatnonzero(wanted & (self._slot < 0))
         if not len(missing):
             return
-        # empty slots first, then those whose pages were not wanted for longest
-        taken = np.argpartition(np.where(self._page < 0, -1, self._used), len(missing) - 1
-                                )[:len(missing)]
+        staying = self._used / (self._now + 1)  # of the pages of slots; less than 1
+        if wanted_next and len(missing) > (self._page < 0).sum():
+            staying -= wanted_next()[self._page]
+        staying[self._slot[wanted & (self._slot >= 0)]] = np.inf
+        staying[self._page < 0] = -np.inf
+        taken = np.argpartition(staying, len(missing) - 1)[:len(missing)]
         self._take_out(taken[self._changed[taken]])
         gone = self._page[taken]
         self._slot[gone[gone >= 0]] = -1
@@ -283,10 +291,11 @@ class Pages:
         self._bring(taken, missing)
         self._write_table()
 
-    def bring(self, wanted: NDArray[np.bool_]) -> bool:
+    def bring(self, wanted: NDArray[np.bool_],
+              wanted_next: Callable[[], NDArray[np.integer]] | None = None) -> bool:
         """As `fetch`; False where these pages do not fit."""
         try:
-            self.fetch(wanted)
+            self.fetch(wanted, wanted_next)
         except TooFewPages:
             return False
         return True

@@ -267,7 +267,7 @@ class Training:
         batch = session.options.batch
         if session.iteration * batch % len(session.train_views) < batch:  # an epoch has ended
             session.recentre()
-        self._measured = step.run(iteration, plan, session.samples(plan), session.camera_of)
+        self._measured = step.run(iteration, plan, session.samples(plan), session.upcoming)
         self.progress.phase(training_at(plan.level))
         grown = step.densify(iteration, plan, session.schedule, session.scoring_views,
                              session.sized_cameras)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -30,9 +31,12 @@ DEVICE_SHARE = 1 / 3
 FRAME_SHARE = 0.2  # of the device's memory that pages leave free for frames
 GIVEN_SHARE = 0.04  # of the device's memory that pages give back at a time
 CHUNK_ROWS = 1 << 18  # that are copied to the host together
+FORESEEN = 64  # samples, of which it is known which pages they want
+FORESEEN_AT_ONCE = 4  # new ones of them in a step
 MARGIN, MARGIN_AHEAD = 1.0, 8.0  # pixels beside an image of which pages are wanted: now, and soon
 Adam = DeviceAdam | NumpyAdam
 Result = TypeVar("Result")
+Upcoming = Callable[[int], tuple[int, Array]]  # number of a sample -> its view and packed camera
 ENGINES: dict[str, type[Adam]] = {
     "device": DeviceAdam, "coded": CodedAdam, "numpy": NumpyAdam}
 
@@ -55,6 +59,9 @@ class Model:
         self.pages: Pages | None = None
         self._engine = engine
         self._asked: dict[int, Reading] = {}  # number of a sample -> the pages that it will want
+        self._wants: dict[int, NDArray[np.uint8]] = {}  # view -> bits, the pages that it wanted
+        # the same, not read yet: number of the sample at which that is done, and the view
+        self._foreseen: deque[tuple[int, int, Reading]] = deque()
         kind, fields = ENGINES[engine], dict(gaussians.rows)
         needed = model_bytes(device, self.sh_degree, self.count, engine)
         if issubclass(kind, DeviceAdam) and gaussians.sh_degree and needed > self._free_bytes():
@@ -216,6 +223,8 @@ class Model:
         """
         self.catch_up()
         self._asked.clear()
+        self._wants.clear()
+        self._foreseen.clear()
         old, self.count, self.layout = self.count, len(growth.source), object()
         self.device.trim()  # frames of another number of gaussians need other sizes
         if self.pages:
@@ -283,24 +292,59 @@ class Model:
         else:
             self.pages.shrink(int(GIVEN_SHARE * self.device.memory_limit))
 
-    def look_ahead(self, number: int, camera: Array) -> None:
-        """Ask which pages a later sample will want, by its number and packed camera."""
-        if self.pages and self.pages.room and isinstance(self.adam, DeviceAdam):
-            self._asked[number] = Reading(self._wanted(camera, MARGIN_AHEAD))
+    def look_ahead(self, number: int, upcoming: Upcoming) -> None:
+        """Ask which pages a later sample will want."""
+        if not (self.pages and self.pages.room and isinstance(self.adam, DeviceAdam)):
+            return
+        self._asked[number] = Reading(self._wanted(upcoming(number)[1], MARGIN_AHEAD))
+        asked = {view for _, view, _ in self._foreseen}
+        unknown = {view: camera for view, camera in map(
+            upcoming, range(number + 1, number + FORESEEN))
+            if view not in self._wants and view not in asked}
+        for view, camera in [*unknown.items()][:FORESEEN_AT_ONCE]:
+            self._foreseen.append((number, view, Reading(self._wanted(camera, MARGIN_AHEAD))))
 
-    def fetch(self, views: Iterable[tuple[int, Array]], degree: int) -> None:
-        """Bring the pages that the samples of a step want, by their numbers and packed cameras."""
+    def fetch(self, numbers: Sequence[int], degree: int, upcoming: Upcoming) -> None:
+        """Bring the pages that the samples of a step want."""
         if self.pages and degree:
-            views = tuple(views)
-            for number in [asked for asked in self._asked if asked < views[0][0]]:
+            for number in [asked for asked in self._asked if asked < numbers[0]]:
                 del self._asked[number]
-            wanted = np.any([(self._asked[number].values() if number in self._asked else
-                              self._wanted(camera, MARGIN).download()) > 0
-                             for number, camera in views], axis=0)
-            if not self.pages.bring(wanted):  # perhaps it wants less by now
-                self.pages.fetch(np.any([self._wanted(camera, MARGIN).download() > 0
-                                         for _, camera in views], axis=0))
+
+            while self._foreseen and self._foreseen[0][0] <= numbers[0]:  # the device is there
+                _, view, reading = self._foreseen.popleft()
+                self._wants.setdefault(view, np.packbits(reading.values() > 0))
+
+            def next_use() -> NDArray[np.int64]:
+                return self._next_use(numbers[-1], upcoming)
+
+            wanted = self._wanted_by(numbers, upcoming)
+            if not self.pages.bring(wanted, next_use):
+                self._asked.clear()  # perhaps they want less by now
+                self.pages.fetch(self._wanted_by(numbers, upcoming), next_use)
             self.pages.note_change()
+
+    def _wanted_by(self, numbers: Sequence[int], upcoming: Upcoming) -> NDArray[np.bool_]:
+        """The pages that samples want: as it was asked before, or else as it is now."""
+        found = []
+        for number in numbers:
+            view, camera = upcoming(number)
+            asked = self._asked.get(number)
+            found.append((asked.values() if asked else
+                          self._wanted(camera, MARGIN).download()) > 0)
+            self._wants[view] = np.packbits(found[-1])
+        every: NDArray[np.bool_] = np.logical_or.reduce(found)
+        return every
+
+    def _next_use(self, number: int, upcoming: Upcoming) -> NDArray[np.int64]:
+        """How many samples after this one a page will be wanted again, if all is as it was when its
+        view was trained on last."""
+        assert self.pages
+        found = np.full(self.pages.pages, FORESEEN + 1)
+        for later in range(FORESEEN, 0, -1):
+            wants = self._wants.get(upcoming(number + later)[0])
+            if wants is not None:
+                found[np.unpackbits(wants, count=len(found)).view(bool)] = later
+        return found
 
     def _wanted(self, camera: Array, margin: float) -> Array:
         """uint[pages], 1 for those of which a camera may see a row."""

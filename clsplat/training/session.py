@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.densify.scores import SizedCamera
 from clsplat.device import Array, Device
@@ -61,7 +62,7 @@ class Session:
         model = Model(device, gaussians, options.engine, photos.folder)
         self.step = Step(self.renderer, model, self.scene.extent, prepared.pixel, options,
                          self.parts)
-        self._epoch = -1, np.zeros(0, np.int64)  # the latest one, and the order of its views
+        self._epochs: dict[int, NDArray[np.int64]] = {}  # the latest ones: the order of their views
         self.use_level(self.photos.level)
 
     @property
@@ -111,19 +112,22 @@ class Session:
                         self.photos.expect(other)
             yield sample
 
-    def camera_of(self, number: int) -> Array:
-        """The packed camera of the number-th view (from 1) that is trained on."""
-        return self.cameras[self._view_of(number)]
+    def upcoming(self, number: int) -> tuple[int, Array]:
+        """The number-th view (from 1) that is trained on, and its packed camera."""
+        view = self._view_of(number)
+        return view, self.cameras[view]
 
     def _view_of(self, number: int) -> int:
         """Index of the number-th view (from 1) that is trained on."""
         epoch, place = divmod(number - 1, len(self.train_views))
-        if self._epoch[0] != epoch:
+        if epoch not in self._epochs:
             visits = np.ones(len(self.train_views))
             for part in self.parts:
                 visits = visits * part.visits(self.train_views)
-            self._epoch = epoch, epoch_order(self.options.seed, epoch, visits)
-        return int(self._epoch[1][place])
+            self._epochs = {**{known: order for known, order in self._epochs.items()
+                               if abs(known - epoch) == 1},
+                            epoch: epoch_order(self.options.seed, epoch, visits)}
+        return int(self._epochs[epoch][place])
 
     def predicted(self) -> Predicted | None:
         """The responses of all views, for an evaluation; None without exposures."""

@@ -29,7 +29,7 @@ from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Gradients
 from clsplat.schedule.plan import Plan, Schedule
 from clsplat.training.capacity import FrameCapacity
-from clsplat.training.model import Model
+from clsplat.training.model import Model, Upcoming
 from clsplat.training.part import Inputs, Now, Part, TrainingSample, ViewPass
 from clsplat.training.units import COUNTS, Unit, Units
 
@@ -47,6 +47,7 @@ class _Given(NamedTuple):
     numbers: Mapping[str, Any]  # what Adam needs of the step
     slot: int  # place of the view in the batch
     parts: Sequence[tuple[Part, Inputs]]  # those that take part in the view, with their inputs
+    fetch: Callable[[], None]  # brings the pages that the step wants
 
 
 class Step:
@@ -123,31 +124,31 @@ class Step:
     # --- a step
 
     def run(self, iteration: int, plan: Plan, samples: Iterable[TrainingSample],
-            camera_of: Callable[[int], Array] | None = None) -> list[Measured]:
+            upcoming: Upcoming | None = None) -> list[Measured]:
         """Take a step, by number from 1, on the mean loss of options.batch samples, which are read
         one at a time; returns the measurements of each, still on the device (`values`).
-        `camera_of` is the packed camera of a sample of this step or later ones, by its number;
-        None: the samples of the step have the same."""
+        `upcoming` returns the samples of this step and of later ones; None: all are as those of
+        this step."""
         views, now = self.options.batch, self.now(iteration, plan)
         measured: list[Measured] = [{} for _ in range(views)]
         numbers = self._model.adam.numbers(iteration, now.rates)
-        numbered = range((iteration - 1) * views + 1, iteration * views + 1)
-        cameras = [(number, camera_of(number)) for number in numbered] if camera_of else []
+        taken = range((iteration - 1) * views + 1, iteration * views + 1)
         for slot, sample in zip(range(views), samples):
+            alone = _always(sample.view, sample.camera)
             given = _Given(plan, sample, numbers, slot, [
                 (part, found) for part in self.parts
-                if (found := part.inputs(now, sample)) is not None])
+                if (found := part.inputs(now, sample)) is not None], partial(
+                    self._model.fetch, taken, plan.degree, upcoming or alone))
 
             def work(given: _Given = given) -> None:
-                self._model.fetch(cameras or [(given.sample.number, given.sample.camera)],
-                                  given.plan.degree)
+                given.fetch()
                 measured[given.slot] = self._take(given)
                 if given.slot == views - 1:
                     self._model.adam.advance(iteration, plan.degree, lambda: self._model.learned,
                                              self._model.frozen, self.units.counts)
             self.units.submit(Unit(work, partial(self._make_room, given)))
-            if camera_of and self._model.pages:
-                self._model.look_ahead(sample.number + AHEAD, camera_of(sample.number + AHEAD))
+            if upcoming:
+                self._model.look_ahead(sample.number + AHEAD, upcoming)
         return measured
 
     def now(self, iteration: int, plan: Plan) -> Now:
@@ -223,7 +224,7 @@ class Step:
             except OutOfDeviceMemory:
                 self._graphs.clear()
             self._model.give_back()  # now that no exception keeps arrays alive
-            self._model.fetch([(given.sample.number, given.sample.camera)], given.plan.degree)
+            given.fetch()
 
     def _record(self, given: _Given, inputs: Mapping[str, Any]) -> Graph:
         """Record, and enqueue, the work of a sample."""
@@ -355,6 +356,11 @@ class Step:
         self.replace_rows(growth)
         self._choose_room(True)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
+
+
+def _always(view: int, camera: Array) -> Upcoming:
+    """All samples are of this view."""
+    return lambda number: (view, camera)
 
 
 def _long(counts: NDArray[np.uint32], place: int) -> int:

@@ -68,7 +68,10 @@ class Run:
             self.step.run(self.taken, plan, [TrainingSample(
                 view, self.cameras[view], self.photos[view], number=number)
                 for number in numbers for view in [self.view_of(number)]],
-                lambda number: self.cameras[self.view_of(number)])
+                self.upcoming)
+
+    def upcoming(self, number):
+        return self.view_of(number), self.cameras[self.view_of(number)]
 
     def arrays(self):
         """All that a checkpoint has, and the rows after the last step."""
@@ -124,8 +127,8 @@ def test_a_page_that_nobody_asked_for_is_fetched_after_all(float_device, monkeyp
     """The frame fails and is repeated, with those that follow it."""
     whole, paged = Run(float_device, monkeypatch, 0), Run(float_device, monkeypatch, 3)
     look_ahead, room_made, repeated = paged.model.look_ahead, paged.step._make_room, []
-    monkeypatch.setattr(paged.model, "look_ahead", lambda number, camera: look_ahead(
-        number, paged.cameras[0] if number % 4 == 0 else camera))
+    monkeypatch.setattr(paged.model, "look_ahead", lambda number, upcoming: look_ahead(
+        number, (lambda _: (0, paged.cameras[0])) if number % 4 == 0 else upcoming))
     monkeypatch.setattr(paged.step, "_make_room", lambda given: (
         repeated.append(given.sample.number), room_made(given)))
     for run in (whole, paged):
