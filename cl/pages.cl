@@ -28,8 +28,8 @@ __kernel void require_pages(uint pages, uint clears, __global const uint *restri
     }
 }
 
-// Copy pages of `quads` times 16 bytes between their slots and a list of pages, staged: uint4[count,
-// quads], by the slots in `list`: uint[count]. brings: into the slots, otherwise out of them.
+// Copy pages of `quads` times 16 bytes between their slots, listed in `list`: uint[count], and
+// staged: uint4[count, quads]. brings: into the slots, otherwise out of them.
 __kernel void copy_pages(uint count, uint quads, uint brings, __global const uint *restrict list,
                          __global uint4 *restrict slots, __global uint4 *restrict staged)
 {

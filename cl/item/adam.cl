@@ -167,7 +167,8 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
             if (by_camera) {
                 real16 x, y, z;
                 load_in_camera(camera, positions + 3ul * first, number, &x, &y, &z);
-                mask &= may_be_seen(camera, 0, x, y, z, load_largest(log_scales + 3ul * first, number),
+                mask &= may_be_seen(camera, 0, x, y, z,
+                                    load_largest(log_scales + 3ul * first, number),
                                     vload16(0, position_sums), vload16(0, scale_sums));
             }
             listed += list_rows(mask, first, number, due + listed);

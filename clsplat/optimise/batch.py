@@ -9,7 +9,6 @@ import numpy as np
 from clsplat.constants import FRAME_COUNTS
 from clsplat.device import Array, Device, Forms, Kernel, each
 from clsplat.device.kernel import Argument
-from clsplat.gaussians import LEARNED
 from clsplat.primitives.compact import compact
 from clsplat.rendering.project import Gradients
 
@@ -36,8 +35,8 @@ class BatchMean:
         self.device, self.views, self.count = device, views, len(rows["positions"])
         # all are zero between batches
         self._flags, self._keys = (device.zeros(self.count, np.uint32) for _ in range(2))
-        self._sums = {field.name: device.zeros((self.count, *rows[field.name].shape[1:]))
-                      for field in LEARNED}
+        self._sums = {name: device.zeros((self.count, *array.shape[1:]))
+                      for name, array in rows.items() if array.dtype == device.real}
 
     def add(self, gradients: Gradients, degree: int) -> None:
         """Add the gradients of a view; `degree` is that of the active harmonics."""

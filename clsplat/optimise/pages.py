@@ -10,28 +10,22 @@ slot fails, and is repeated once the page is there (units.py).
 from __future__ import annotations
 
 import math
-import os
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.constants import FRAME_COUNTS, PAGE_ROWS
-from clsplat.device import Array, ArraySpec, Device, Kernel, Transfers, Writing, each, pinned
-from clsplat.errors import InputError, OutOfDeviceMemory, TooFewPages, reason
+from clsplat.device import Array, Device, Kernel, Transfers, Writing, each, pinned
+from clsplat.errors import OutOfDeviceMemory, TooFewPages
+from clsplat.optimise.page_store import PageStore
 
 ABSENT = 1 << 31  # as in cl/include/rest.h
 QUAD = 16  # bytes that a work-item copies
 STAGED_BYTES = 32 << 20  # of pages that are on their way together
 TURNS = 8  # groups of pages that are on their way at the same time
-HOST_SHARE = 0.5  # of the host's memory that pages may take
-THREADS = min(8, os.cpu_count() or 1)  # that copy pages in host memory
-BITS = 10  # of each coordinate in the order of pages
 PAGED = (("PAGED", 1),)
 
 MARK = Kernel("pages.cl", "mark_pages", each("count"), count="uint", flags=("uint", "N"),
@@ -78,14 +72,12 @@ class _Table:
 
 
 class Pages:
-    """Rows of some arrays in pages.
+    """The pages of a store that have a slot on the device.
 
     Parameters
     ----------
-    positions : float[N, 3], by which rows are put in pages.
-    values : name of an array -> [N, *row shape], whose values are copied.
+    store : all pages.
     free : returns how many bytes of device memory pages may take now.
-    folder : of the file of what host memory cannot hold; None: that of temporary files.
 
     Attributes
     ----------
@@ -96,123 +88,41 @@ class Pages:
     layout : another object after each change of the arrays.
     """
 
-    def __init__(self, device: Device, positions: NDArray[np.floating],
-                 values: Mapping[str, NDArray[Any]], free: Callable[[], int],
-                 folder: Path | None = None) -> None:
-        self.device, self._free, self._folder = device, free, folder
-        self._threads, self._transfers = ThreadPoolExecutor(THREADS), Transfers(device)
-        self._specs = {name: ArraySpec(of_rows.shape[1:], of_rows.dtype)
-                       for name, of_rows in values.items()}
-        self._words = {name: PAGE_ROWS * spec.nbytes(device.real) // 4
-                       for name, spec in self._specs.items()}
-        self._arrange(positions)
-        self._stores = {name: self._new_store(name) for name in values}
-        for name, of_rows in values.items():
-            self._fill(name, of_rows, self._order)
-        self._make_slots(0)
+    def __init__(self, device: Device, store: PageStore, free: Callable[[], int]) -> None:
+        self.device, self.store, self._free = device, store, free
+        self._transfers = Transfers(device)
+        self._arranged()
 
-    # --- the order of rows, and the pages in host memory
-
-    def _arrange(self, positions: NDArray[np.floating]) -> None:
-        """Put rows into pages."""
-        self.count, self.pages = len(positions), max(1, -(-len(positions) // PAGE_ROWS))
+    def _arranged(self) -> None:
+        """Take over the order of the store; no page has a slot."""
+        store, self.pages = self.store, self.store.pages
         self._most = self.pages  # slots, as far as is known
-        self._order = spatial_order(positions)
-        self._place = np.empty(self.count, np.uint32)
-        self._place[self._order] = np.arange(self.count, dtype=np.uint32)
-        self.places = self.device.upload(self._place)
+        self.places = self.device.upload(store.place)
         self.slots = self.device.allocate(self.pages, np.uint32)
         self._wanted = self.device.zeros(self.pages, np.uint32)  # by frames under way
-
-    def _new_store(self, name: str) -> NDArray[np.uint32]:
-        """Zeros for all pages of an array; in a file without a name where the host has too little
-        memory for all arrays."""
-        shape, needed = (self.pages, self._words[name]), self.pages * self.page_bytes
-        if needed <= HOST_SHARE * host_memory():
-            return np.zeros(shape, np.uint32)
-        folder = self._folder or Path(tempfile.gettempdir())
-        nbytes = 4 * math.prod(shape)
-        try:
-            with tempfile.TemporaryFile(dir=folder) as file:
-                if hasattr(os, "posix_fallocate"):  # or a full disk would end the process later
-                    os.posix_fallocate(file.fileno(), 0, nbytes)
-                    return np.memmap(file, np.uint32, "r+", shape=shape)
-                return np.memmap(file, np.uint32, "w+", shape=shape)
-        except OSError as error:
-            raise InputError(
-                f"{folder}: no room for {nbytes >> 20:,} MiB of gaussians that fit neither the "
-                f"device nor the host's memory ({reason(error)}); free some, or use "
-                "--max-gaussians") from None
-
-    def _rows_of(self, name: str) -> NDArray[Any]:
-        """[pages * PAGE_ROWS, *row shape], a store by places."""
-        shape, dtype = self._specs[name]
-        rows: NDArray[Any] = self._stores[name].reshape(-1).view(np.dtype(dtype))
-        return rows.reshape(-1, *shape)
-
-    def _fill(self, name: str, source: NDArray[Any], rows: NDArray[np.uint32]) -> None:
-        """Put these rows of an array at the places of a store, in threads."""
-        store = self._rows_of(name)
-
-        def fill(page: int) -> None:
-            places = slice(page * PAGE_ROWS, min((page + 1) * PAGE_ROWS, self.count))
-            np.take(source, rows[places], axis=0, out=store[places], mode="clip")
-
-        self._in_threads(fill, range(self.pages))
+        self._make_slots(0)
 
     def download(self, name: str) -> NDArray[Any]:
         """An array of all rows, as a copy."""
         self.settle()
-        return self.in_rows(self._rows_of(name))
-
-    def in_rows(self, places: NDArray[Any]) -> NDArray[Any]:
-        """Values by places, as `add_to` returns them, in the order of rows."""
-        return np.take(places, self._place, axis=0)
-
-    def arranged(self, rows: NDArray[Any]) -> NDArray[Any]:
-        """Values by rows, by their places."""
-        return np.take(rows, self._order, axis=0)
+        return self.store.in_rows(self.store.rows(name))
 
     def add_to(self, name: str, total: NDArray[Any] | None) -> NDArray[Any]:
-        """Add an array to a sum of earlier ones, by places; None: it begins."""
+        """As `PageStore.add_to`."""
         self.settle()
-        stored = self._rows_of(name)[:self.count]
-        if total is None:
-            return stored.copy()
-        sums = total
-
-        def add(page: int) -> None:
-            sums[page * PAGE_ROWS:(page + 1) * PAGE_ROWS] += stored[
-                page * PAGE_ROWS:(page + 1) * PAGE_ROWS]
-
-        self._in_threads(add, range(self.pages))
-        return total
+        return self.store.add_to(name, total)
 
     def write(self, name: str, values: NDArray[Any], first: int = 0) -> None:
         """Overwrite rows of an array from row `first` on."""
         self.leave()
-        self._rows_of(name)[self._place[first:first + len(values)]] = values
+        self.store.rows(name)[self.store.place[first:first + len(values)]] = values
 
     def regrow(self, source: NDArray[np.uint32], kept: int, positions: NDArray[np.floating],
                inherited: str) -> None:
-        """Rearrange the rows as growth does (`Growth`), where `positions` are those of the new
-        rows: all take over the array `inherited`, and new ones are 0 in the others."""
+        """As `PageStore.regrow`."""
         self.leave()
-        places = self._place[source]
-        self._arrange(positions)
-        for name in self._specs:
-            old, self._stores[name] = self._rows_of(name), self._new_store(name)
-            self._fill(name, old, places[self._order])
-            if name != inherited:
-                self._rows_of(name)[self._place[kept:]] = 0
-        self._make_slots(0)
-
-    # --- slots on the device
-
-    @property
-    def page_bytes(self) -> int:
-        """Of all arrays."""
-        return 4 * sum(self._words.values())
+        self.store.regrow(source, kept, positions, inherited)
+        self._arranged()
 
     def leave(self) -> None:
         """Take all pages to the host, and give back the memory of the slots, of which there may be
@@ -226,8 +136,9 @@ class Pages:
         self.arrays: dict[str, Array] = {}
         self._transits = list[_Transit]()
         rows = max(1, room * PAGE_ROWS)
-        self.arrays = {name: self.device.zeros((rows, *spec.shape), spec.dtype)
-                       for name, spec in self._specs.items()}
+        for name in self.store.words:
+            shape, dtype = self.store.kind(name)
+            self.arrays[name] = self.device.zeros((rows, *shape), dtype)
         self._slot = np.full(self.pages, -1)  # of each page; -1: none
         self._page = np.full(room, -1)  # of each slot; -1: none
         self._changed = np.zeros(room, bool)  # slots of which the host has an old copy
@@ -235,13 +146,13 @@ class Pages:
         self._now = 0
         self.slots.fill(ABSENT)
         if room:
-            self._transits = [_Transit(self.device, self._words, self._staged_pages(room))
+            self._transits = [_Transit(self.device, self.store.words, self._staged_pages(room))
                               for _ in range(TURNS)]
             self._tables = [_Table(pinned(self.device, (self.pages,))) for _ in range(TURNS)]
 
     def shrink(self, nbytes: int) -> None:
         """Give back at least so many bytes of slots; OutOfDeviceMemory where there are none."""
-        fewer = self.room - max(1, -(-nbytes // self.page_bytes))
+        fewer = self.room - max(1, -(-nbytes // self.store.page_bytes))
         if fewer < 1:
             raise OutOfDeviceMemory(
                 f"{self.device.name}: no room for the harmonics of {PAGE_ROWS:,} gaussians: use a "
@@ -265,7 +176,7 @@ class Pages:
         if self.room < min(number, self._most) or not self.room:
             self.settle()  # there may be memory for more by now
             self._make_slots(0)
-            free = self._free() // self.page_bytes
+            free = self._free() // self.store.page_bytes
             self._make_slots(min(self._most, max(1, free - TURNS * self._staged_pages(free))))
         if number > self.room:
             raise TooFewPages(
@@ -304,7 +215,7 @@ class Pages:
                   ) -> Iterator[tuple[NDArray[np.uint32], NDArray[np.uint32]]]:
         """Bring the pages of some rows, one group after another: the index and the number of those
         that are there then."""
-        page_of = self._place[rows] // PAGE_ROWS
+        page_of = self.store.place[rows] // PAGE_ROWS
         wanted = np.unique(page_of)
         for begin in range(0, len(wanted), self.room):
             some = np.zeros(self.pages, bool)
@@ -323,7 +234,7 @@ class Pages:
             wanted = np.zeros(self.pages, bool)
             wanted[turns[begin:begin + size]] = True
             self.fetch(wanted)
-            yield self._order[np.repeat(wanted, PAGE_ROWS)[:self.count]]
+            yield self.store.order[np.repeat(wanted, PAGE_ROWS)[:self.store.count]]
 
     def settle(self) -> None:
         """Copy all that has changed to the host; the pages stay."""
@@ -333,7 +244,7 @@ class Pages:
 
     def _staged_pages(self, room: int) -> int:
         """How many pages travel together, with so many slots."""
-        return max(1, min(STAGED_BYTES // self.page_bytes, room // (8 * TURNS)))
+        return max(1, min(STAGED_BYTES // self.store.page_bytes, room // (8 * TURNS)))
 
     def _next_transit(self) -> _Transit:
         """The one that began longest ago, free."""
@@ -348,13 +259,13 @@ class Pages:
             some, slots = np.split(slots, [len(transit.slots)])
             self._begin(transit, some)
             self._transfers.let_kernels_wait(transit.travelled[-1])
-            for name in self._words:
+            for name in self.store.words:
                 self._copy(name, transit, len(some), False)
             transit.used, transit.pages = self._transfers.after_kernels(), self._page[some]
             transit.travelled += [
                 self._transfers.read(transit.staged[name].narrow(len(some)),
                                      transit.host[name][:len(some)], transit.used)
-                for name in self._words]
+                for name in self.store.words]
             self._changed[some] = False
 
     def _land(self, transit: _Transit) -> None:
@@ -365,9 +276,9 @@ class Pages:
 
         def land(at: int) -> None:
             for name, values in transit.host.items():
-                self._stores[name][transit.pages[at]] = values[at]
+                self.store.contents[name][transit.pages[at]] = values[at]
 
-        self._in_threads(land, range(len(transit.pages)))
+        self.store.in_threads(land, range(len(transit.pages)))
         transit.pages = transit.pages[:0]
 
     def _bring(self, slots: NDArray[np.int64], pages: NDArray[np.int64]) -> None:
@@ -383,16 +294,16 @@ class Pages:
             def load(at: int, transit: _Transit = transit,
                      coming: NDArray[np.int64] = coming) -> None:
                 for name, values in transit.host.items():
-                    values[at] = self._stores[name][coming[at]]
+                    values[at] = self.store.contents[name][coming[at]]
 
-            self._in_threads(load, range(len(some)))
+            self.store.in_threads(load, range(len(some)))
             self._begin(transit, some)
-            for name in self._words:
+            for name in self.store.words:
                 transit.travelled.append(self._transfers.write(
                     transit.staged[name].narrow(len(some)), transit.host[name][:len(some)],
                     transit.used))
             self._transfers.let_kernels_wait(transit.travelled[-1])
-            for name in self._words:
+            for name in self.store.words:
                 self._copy(name, transit, len(some), True)
             transit.used = self._transfers.after_kernels()
 
@@ -414,13 +325,9 @@ class Pages:
         """Copy pages of an array between their slots and the memory of a transit."""
         array = self.arrays[name]
         pages = array.reshaped(self.room, math.prod(array.shape) // self.room)
-        self.device.launch(COPY, count=count, quads=4 * self._words[name] // QUAD,
+        self.device.launch(COPY, count=count, quads=4 * self.store.words[name] // QUAD,
                            brings=int(brings), list=transit.list.narrow(count),
                            slots=pages.viewed(np.uint32), staged=transit.staged[name].narrow(count))
-
-    def _in_threads(self, work: Callable[[int], Any], numbers: Iterable[int]) -> None:
-        for _ in self._threads.map(work, numbers):
-            pass
 
     # --- what frames need
 
@@ -430,7 +337,7 @@ class Pages:
         if wanted is None:
             wanted = self.device.empty(self.pages, np.uint32)
             wanted.fill(0)
-        self.device.launch(MARK, count=self.count, flags=flags, places=self.places, wanted=wanted)
+        self.device.launch(MARK, count=len(flags), flags=flags, places=self.places, wanted=wanted)
         return wanted
 
     def require(self, flags: Array, counts: Array, clears: bool) -> None:
@@ -446,32 +353,3 @@ class Pages:
         self.device.launch(REST_ROWS, PAGED, count=len(rows), rows=rows, places=self.places,
                            slots=self.slots, lies=lies)
         return lies
-
-
-def host_memory() -> float:
-    """Bytes of memory of this computer, as far as that can be known."""
-    try:
-        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (AttributeError, ValueError, OSError):
-        return math.inf
-
-
-def spatial_order(positions: NDArray[np.floating]) -> NDArray[np.uint32]:
-    """uint32[N], rows in an order in which neighbours are near each other (Morton 1966)."""
-    finite = np.nan_to_num(positions.astype(np.float32), posinf=0, neginf=0)
-    low, high = np.quantile(finite[::max(1, len(finite) // 10_000)], (0.01, 0.99), axis=0)
-    scale = (1 << BITS) / max(float((high - low).max()), 1e-30)  # cells are cubes
-    cells = np.clip((finite - low) * scale, 0, (1 << BITS) - 1).astype(np.uint32)
-    keys = np.zeros(len(cells), np.uint32)
-    for axis in range(3):
-        keys |= _spread(cells[:, axis]) << np.uint32(axis)
-    order = np.argsort(keys.astype(np.uint16), kind="stable")  # by 16 bits, numpy sorts by digits
-    upper = (keys >> np.uint32(16)).astype(np.uint16)[order]
-    return order[np.argsort(upper, kind="stable")].astype(np.uint32)
-
-
-def _spread(values: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """The lower 10 bits of numbers, two zeros between any two."""
-    for shift, mask in ((16, 0x030000ff), (8, 0x0300f00f), (4, 0x030c30c3), (2, 0x09249249)):
-        values = (values | values << np.uint32(shift)) & np.uint32(mask)
-    return values

@@ -381,10 +381,9 @@ class Training:
     def _pictures(self) -> Pictures:
         """The pictures of the report."""
         session = self.session
-        return pictures_of(
-            CurrentRenderer(session.renderer), session.model, session.options.sh_degree,
-            session.test_views, session.corrected(session.train_views), self.evaluator.per_view,
-            session.predicted())
+        shown = CurrentRenderer(session.renderer), session.model, session.options.sh_degree
+        return pictures_of(*shown, session.test_views, session.corrected(session.train_views),
+                           self.evaluator.per_view, session.predicted())
 
     @contextmanager
     def _harmless(self, what: str) -> Iterator[None]:

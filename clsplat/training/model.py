@@ -18,6 +18,7 @@ from clsplat.errors import OutOfDeviceMemory, TooFewPages
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
 from clsplat.optimise.adam import MOMENTS_OF_REST, CodedAdam, DeviceAdam
 from clsplat.optimise.numpy_adam import NumpyAdam
+from clsplat.optimise.page_store import PageStore
 from clsplat.optimise.pages import Pages
 from clsplat.options import ScheduledOptions
 from clsplat.primitives.compact import compact, new_counts
@@ -75,8 +76,9 @@ class Model:
 
     def _make_pages(self, positions: NDArray[np.floating], sh_rest: NDArray[np.floating],
                     moments: dict[str, NDArray[Any]]) -> Pages:
-        return Pages(self.device, positions, {"sh_rest": sh_rest.astype(self.device.real),
-                                              **moments}, self._free_bytes, self._folder)
+        store = PageStore(positions, {"sh_rest": sh_rest.astype(self.device.real), **moments},
+                          self._folder)
+        return Pages(self.device, store, self._free_bytes)
 
     def _free_bytes(self) -> int:
         """Bytes that arrays of the model may take, so that frames find room."""
@@ -175,7 +177,7 @@ class Model:
         host in the order of pages; None: the sum begins."""
         if name == "sh_rest" and self.pages:
             if isinstance(total, Array):  # it was not paged before
-                total = self.pages.arranged(total.download())
+                total = self.pages.store.in_places(total.download())
             return self.pages.add_to(name, total)
         array = self._arrays[name]
         if total is None:
@@ -189,11 +191,11 @@ class Model:
         if isinstance(total, Array):
             return total.download()
         assert self.pages
-        return self.pages.in_rows(total)
+        return self.pages.store.in_rows(total)
 
     def total(self, name: str, values: NDArray[Any]) -> Array | NDArray[Any]:
         """The inverse of `summed`."""
-        return (self.pages.arranged(values) if name == "sh_rest" and self.pages else
+        return (self.pages.store.in_places(values) if name == "sh_rest" and self.pages else
                 self.within(partial(self.device.upload, values)))
 
     def within(self, work: Callable[[], Result]) -> Result:

@@ -5,10 +5,12 @@ import pytest
 
 from clsplat.constants import CATCH_UP_EVERY, COUNT_FAILED, PAGE_ROWS
 from clsplat.errors import InputError, TooFewPages
-from clsplat.optimise.pages import TURNS, Pages, spatial_order
+from clsplat.optimise.page_store import PageStore, spatial_order
+from clsplat.optimise.pages import ABSENT, TURNS, Pages
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.cull import cull
 from tests.kernels.test_lazy_adam import DEFINES, Lazy
+from tests.reference.pages import rest_rows, wanted_pages
 
 WIDTHS = {"sh_rest": ((9,), np.float32), "m_rest": ((9,), np.uint16), "v_rest": ((9,), np.uint8)}
 COUNT = 5 * PAGE_ROWS + 100  # six pages
@@ -24,7 +26,8 @@ def pages_of(device, room, count=COUNT):
     """(Pages with this many slots, the positions and values of its rows)."""
     positions = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
     values, found = values_of(count, 1), []
-    found.append(Pages(device, positions, values, lambda: (room + TURNS) * found[0].page_bytes))
+    store = PageStore(positions, values)
+    found.append(Pages(device, store, lambda: (room + TURNS) * store.page_bytes))
     return found[0], positions, values
 
 
@@ -58,6 +61,7 @@ def test_pages_come_and_go_as_arrays_would_stay(float_device):
         places = pages.places.download()
         rows = np.flatnonzero(wanted[places // PAGE_ROWS])
         lies = pages.rest_of(float_device.upload(rows.astype(np.uint32))).download()
+        assert np.array_equal(lies, rest_rows(rows, places, slots, PAGE_ROWS))
         pages.note_change()
         for name, array in pages.arrays.items():
             present = array.download()
@@ -92,13 +96,12 @@ def test_pages_follow_growth(float_device):
 
 def test_pages_that_fit_no_memory_are_in_a_file(item_device, monkeypatch, tmp_path):
     """In a folder where nothing is left of it; a full disk is one clear line."""
-    monkeypatch.setattr("clsplat.optimise.pages.host_memory", lambda: 0.0)
+    monkeypatch.setattr("clsplat.optimise.page_store.host_memory", lambda: 0.0)
     values = values_of(COUNT, 1)
     positions = np.random.default_rng(0).normal(size=(COUNT, 3)).astype(np.float32)
-    made = []
-    made.append(Pages(item_device, positions, values, lambda: 20 * made[0].page_bytes, tmp_path))
-    pages = made[0]
-    assert all(isinstance(store, np.memmap) for store in pages._stores.values())
+    store = PageStore(positions, values, tmp_path)
+    pages = Pages(item_device, store, lambda: 20 * store.page_bytes)
+    assert all(isinstance(each, np.memmap) for each in store.contents.values())
     pages.fetch(wanting(2, 5))
     pages.note_change()
     assert all(np.array_equal(pages.download(name), values[name]) for name in values)
@@ -116,8 +119,27 @@ def test_sums_are_those_of_plain_arrays(float_device):
     pages, _, values = pages_of(float_device, 2)
     total = pages.add_to("sh_rest", None)
     total = pages.add_to("sh_rest", total)
-    assert np.array_equal(pages.in_rows(total), 2 * values["sh_rest"])
-    assert np.array_equal(pages.arranged(2 * values["sh_rest"]), total)
+    assert np.array_equal(pages.store.in_rows(total), 2 * values["sh_rest"])
+    assert np.array_equal(pages.store.in_places(2 * values["sh_rest"]), total)
+
+
+@pytest.mark.parametrize("share", [0, 1e-3, 0.5, 1])
+def test_pages_of_flagged_rows_are_wanted(float_device, share):
+    pages, _, _ = pages_of(float_device, 2)
+    flags = (np.random.default_rng(4).random(COUNT) < share).astype(np.uint32)
+    wanted = pages.mark(float_device.upload(flags)).download()
+    assert np.array_equal(wanted > 0, wanted_pages(flags, pages.places.download(), 6, PAGE_ROWS))
+
+
+def test_the_page_that_is_wanted_last_leaves(float_device):
+    pages, _, _ = pages_of(float_device, 3)
+    for number in (0, 1, 2):
+        pages.fetch(wanting(number))
+    there = [set(np.flatnonzero(pages.slots.download() < ABSENT))]
+    pages.fetch(wanting(3), lambda: np.array([1, 9, 2, 0, 0, 0]))
+    pages.fetch(wanting(4))  # without a forecast the one that was wanted first
+    there += [set(np.flatnonzero(pages.slots.download() < ABSENT))]
+    assert there == [{0, 1, 2}, {2, 3, 4}]
 
 
 @pytest.mark.oclgrind

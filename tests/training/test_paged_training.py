@@ -38,12 +38,12 @@ class Run:
         self.device, self.batch = device, batch
         if room:
             monkeypatch.setattr(Model, "_free_bytes", lambda model: (
-                (room + TURNS) * model.pages.page_bytes if model.pages else 0))
+                (room + TURNS) * model.pages.store.page_bytes if model.pages else 0))
         self.model = Model(device, row_of_gaussians(count), engine)
         monkeypatch.undo()
         if room:  # in later rounds, too
             pages = self.model.pages
-            pages._free = lambda: (room + TURNS) * pages.page_bytes
+            pages._free = lambda: (room + TURNS) * pages.store.page_bytes
         self.renderer = Renderer(device, DEGREE, 0.1)
         self.step = Step(self.renderer, self.model, 1.0, 1e-3,
                          TrainOptions(iterations=300, batch=batch), [ImageTerm()])

@@ -3,6 +3,7 @@
 A family is a function that gives what to time, by the name of the variant.
 """
 
+import itertools
 import json
 import re
 from collections.abc import Callable, Mapping
@@ -14,7 +15,7 @@ import numpy as np
 import scipy
 
 from clsplat.camera import Camera
-from clsplat.constants import CATCH_UP_EVERY, DESCRIPTOR_SIZE, LAZY_TERMS, POSE_REALS
+from clsplat.constants import CATCH_UP_EVERY, DESCRIPTOR_SIZE, LAZY_TERMS, PAGE_ROWS, POSE_REALS
 from clsplat.device import Device
 from clsplat.gaussians import LEARNED
 from clsplat.loss.depth_map import compare_depth
@@ -26,6 +27,8 @@ from clsplat.loss.reproject import reproject as reproject_depth
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.noise import add_noise
+from clsplat.optimise.page_store import PageStore
+from clsplat.optimise.pages import TURNS, Pages
 from clsplat.optimise.pose import RATE, Poses
 from clsplat.primitives import compact as compacting
 from clsplat.primitives import gather as gathering
@@ -214,6 +217,25 @@ def noise(city: CityFrame) -> Cases:
     return {"all move": partial(add_noise, city.rows, 1e-6, 1, 0, new_counts(city.device))}
 
 
+def pages(city: CityFrame) -> Cases:
+    """Harmonics of gaussians of which a fifth fits the device: a view's pages marked, and twenty
+    pages that come while as many leave."""
+    count = 100 * PAGE_ROWS
+    rng, fifths = np.random.default_rng(0), np.arange(100) // 20 % 5
+    store = PageStore(rng.random((count, 3)), {"sh_rest": np.zeros((count, 45), np.float32)})
+    paged = Pages(city.device, store, lambda: (20 + TURNS) * store.page_bytes)
+    flags = city.device.upload(np.arange(count, dtype=np.uint32) % 7 == 0, np.uint32)
+    turns = itertools.cycle(range(5))
+
+    def exchange() -> None:
+        paged.fetch(fifths == next(turns))
+        paged.note_change()
+        city.device.finish()
+
+    exchange()
+    return {"mark": partial(paged.mark, flags), "exchange": exchange}
+
+
 def pose(city: CityFrame) -> Cases:
     """The corrected camera of a view and a step on its pose, by the gradients of all gaussians."""
     device = city.device
@@ -315,5 +337,5 @@ def match(city: CityFrame) -> Cases:
 FAMILIES: dict[str, Callable[[CityFrame], Cases]] = {
     function.__name__: function for function in (
         adam, batch, bin, blend, compact, contribution, cull, depth_map, exposure, frequency,
-        gather, image_loss, match, noise, pose, project, reduce, regularise, reproject, sift, sort,
-        sweep)}
+        gather, image_loss, match, noise, pages, pose, project, reduce, regularise, reproject, sift,
+        sort, sweep)}
