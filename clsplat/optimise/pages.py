@@ -177,7 +177,9 @@ class Pages:
             self.settle()  # there may be memory for more by now
             self._make_slots(0)
             free = self._free() // self.store.page_bytes
-            self._make_slots(min(self._most, max(1, free - TURNS * self._staged_pages(free))))
+            in_a_buffer = self.device.largest_buffer // (4 * max(self.store.words.values()))
+            self._make_slots(min(self._most, in_a_buffer,
+                                 max(1, free - TURNS * self._staged_pages(free))))
         if number > self.room:
             raise TooFewPages(
                 f"{self.device.name}: a view sees {number * PAGE_ROWS:,} gaussians, and there is "

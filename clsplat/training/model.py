@@ -65,7 +65,8 @@ class Model:
         self._foreseen: deque[tuple[int, int, Reading]] = deque()
         kind, fields = ENGINES[engine], dict(gaussians.rows)
         needed = model_bytes(device, self.sh_degree, self.count, engine)
-        if issubclass(kind, DeviceAdam) and gaussians.sh_degree and needed > self._free_bytes():
+        if issubclass(kind, DeviceAdam) and gaussians.sh_degree and (
+                needed > self._free_bytes() or not self._fits_buffer(self.count)):
             rest = fields.pop("sh_rest")
             self.pages = self._make_pages(gaussians.positions, rest, {
                 name: np.zeros((self.count, rest[0].size), dtype or device.real)
@@ -83,6 +84,11 @@ class Model:
     def _free_bytes(self) -> int:
         """Bytes that arrays of the model may take, so that frames find room."""
         return int((1 - FRAME_SHARE) * self.device.memory_limit) - self.device.memory_bytes
+
+    def _fits_buffer(self, count: int) -> bool:
+        """Whether all harmonics fit one buffer."""
+        spec = self.arrays(["sh_rest"], self.sh_degree, count)["sh_rest"]
+        return spec.nbytes(self.device.real) <= self.device.largest_buffer
 
     @staticmethod
     def arrays(names: Iterable[str], sh_degree: int, count: int) -> dict[str, ArraySpec]:
@@ -231,7 +237,8 @@ class Model:
         self.device.trim()  # frames of another number of gaussians need other sizes
         if self.pages:
             self.pages.leave()
-        elif self._can_be_paged() and self._regrown_bytes(old) > self._free_bytes():
+        elif self._can_be_paged() and (self._regrown_bytes(old) > self._free_bytes()
+                                       or not self._fits_buffer(self.count)):
             self._use_pages()
         source = self.device.upload(growth.source)
         for name, array in self._arrays.items():

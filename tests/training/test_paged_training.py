@@ -36,11 +36,11 @@ class Run:
 
     def __init__(self, device, monkeypatch, room, engine="device", batch=1, count=COUNT):
         self.device, self.batch = device, batch
-        if room:
-            monkeypatch.setattr(Model, "_free_bytes", lambda model: (
-                (room + TURNS) * model.pages.store.page_bytes if model.pages else 0))
-        self.model = Model(device, row_of_gaussians(count), engine)
-        monkeypatch.undo()
+        with monkeypatch.context() as patch:
+            if room:
+                patch.setattr(Model, "_free_bytes", lambda model: (
+                    (room + TURNS) * model.pages.store.page_bytes if model.pages else 0))
+            self.model = Model(device, row_of_gaussians(count), engine)
         if room:  # in later rounds, too
             pages = self.model.pages
             pages._free = lambda: (room + TURNS) * pages.store.page_bytes
@@ -152,6 +152,17 @@ def test_pages_give_memory_back_for_frames(float_device, monkeypatch):
         assert (run.model.pages is not None) == bounded
         monkeypatch.undo()
     check_same(*results)
+
+
+def test_harmonics_that_exceed_a_buffer_are_paged(float_device, monkeypatch):
+    whole = Run(float_device, monkeypatch, 0, "coded")
+    whole.take(9)
+    expected = whole.arrays()
+    monkeypatch.setattr(float_device, "largest_buffer", 5 * 9 * 4 * PAGE_ROWS)  # five pages
+    paged = Run(float_device, monkeypatch, 0, "coded")
+    paged.take(9)
+    check_same(expected, paged.arrays())
+    assert whole.model.pages is None and paged.model.pages.room == 5
 
 
 def test_a_view_of_too_many_pages_is_refused(float_device, monkeypatch):
