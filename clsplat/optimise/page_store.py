@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -141,9 +142,11 @@ class PageStore:
 
 def host_memory() -> float:
     """Bytes of memory of this computer, as far as that can be known."""
+    if sys.platform == "win32":
+        return math.inf
     try:
         return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (AttributeError, ValueError, OSError):
+    except (ValueError, OSError):
         return math.inf
 
 
