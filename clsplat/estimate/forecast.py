@@ -278,12 +278,11 @@ def predicted_memory(device: Device, prepared: PreparedScene, names: Iterable[st
                                             for place in range(len(model))))
         frame = np.dot(cost, (1, pixels(prepared.train_views, segment.level), segment.gaussians))
         model, steps = grown, max(steps, nbytes + int(frame) + sum(grown))
-    # evaluations copy the rows, and the mean of the last steps has a sum of each
+    # the mean of the last steps has a sum of each row
     learned = Model.arrays([field.name for field in LEARNED], prepared.options.sh_degree,
                            segments[-1].gaussians)
     sums = sum(spec.nbytes(device.real) for spec in learned.values())
-    copies = 1 + (prepared.options.average > 0)
-    total = max(total, nbytes + int(frame) + sum(model) + copies * sums)
+    total = max(total, nbytes + int(frame) + sum(model) + (prepared.options.average > 0) * sums)
     total, limit, waits = max(total, steps), device.memory_limit, 0
     if total > limit and is_pageable(prepared.options):
         count = max(segment.gaussians for segment in segments)
