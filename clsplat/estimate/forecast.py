@@ -278,11 +278,13 @@ def predicted_memory(device: Device, prepared: PreparedScene, names: Iterable[st
                                             for place in range(len(model))))
         frame = np.dot(cost, (1, pixels(prepared.train_views, segment.level), segment.gaussians))
         model, steps = grown, max(steps, nbytes + int(frame) + sum(grown))
-    # the mean of the last steps has a sum of each row
+    # an evaluation copies rows and moments that a view sees, the mean of the last steps has sums
+    copied = int(_most_seen(prepared) * sum(model))
     learned = Model.arrays([field.name for field in LEARNED], prepared.options.sh_degree,
                            segments[-1].gaussians)
     sums = sum(spec.nbytes(device.real) for spec in learned.values())
-    total = max(total, nbytes + int(frame) + sum(model) + (prepared.options.average > 0) * sums)
+    total = max(total, nbytes + int(frame) + sum(model) + copied
+                + (prepared.options.average > 0) * sums)
     total, limit, waits = max(total, steps), device.memory_limit, 0
     if total > limit and is_pageable(prepared.options):
         count = max(segment.gaussians for segment in segments)
@@ -290,6 +292,17 @@ def predicted_memory(device: Device, prepared: PreparedScene, names: Iterable[st
             spec.nbytes(device.real) for spec in paged_arrays(prepared.options, count))
     return Memory(total, steps, max(nbytes * resident for nbytes, resident in photos.values()),
                   all(resident for _, resident in photos.values()), sum(model), waits)
+
+
+def _most_seen(prepared: PreparedScene) -> float:
+    """The largest share of the sparse points that one view has in its image, occluded or not."""
+    points, views = prepared.scene.points, prepared.test_views or prepared.train_views
+    points, shares = points[::max(1, -(-len(points) // MOST_SAMPLED))], []
+    for view in views[::-(-len(views) // COUNTED_VIEWS)]:
+        (x, y), depth = (each.T for each in view.camera.project(points))
+        shares.append(((depth > 0) & (x > 0) & (x < view.camera.width)
+                       & (y > 0) & (y < view.camera.height)).mean())
+    return float(max(shares))
 
 
 def photo_bytes(device: Device, views: Sequence[View], level: float) -> tuple[int, bool]:

@@ -232,7 +232,9 @@ class DeviceAdam:
         """Copies of chosen rows, uint[C], as they are after the last step; if they are paged, their
         pages must be there."""
         def taken(array: Array, which: Array = chosen) -> Array:
-            return gather(self.device, array, which)
+            # not kept for others when it is freed, as each view has its own number of rows
+            copy = self.device.allocate((len(which), *array.shape[1:]), array.dtype)
+            return gather(self.device, array, which, copy)
 
         rest = self.pages.rest_of(chosen) if self.pages else chosen
         state = {name: taken(array, rest if name.endswith("_rest") else chosen)

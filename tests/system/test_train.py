@@ -83,10 +83,10 @@ def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path,
     loss is that of all three."""
     seen, recentred, losses, take = [], [], [], Step.run
 
-    def watched(step, iteration, plan, shots):
+    def watched(step, iteration, plan, shots, upcoming):
         shots = list(shots)
         seen.append([shot.view for shot in shots])
-        found = take(step, iteration, plan, shots)
+        found = take(step, iteration, plan, shots, upcoming)
         losses.append([step.values([one])["loss"] for one in found])
         return found
 
