@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from clsplat.errors import InputError, reason
 
 HOST_SHARE = 0.5  # of the host's memory that pages may take
 THREADS = min(8, os.cpu_count() or 1)  # that copy pages
+Part = TypeVar("Part")
 BITS = 10  # of each coordinate in the order of pages
 
 
@@ -95,10 +96,16 @@ class PageStore:
 
         self.in_threads(fill, range(self.pages))
 
-    def in_threads(self, work: Callable[[int], Any], numbers: Iterable[int]) -> None:
-        """Call `work` with each of the numbers; waits."""
-        for _ in self._threads.map(work, numbers):
+    def in_threads(self, work: Callable[[Part], Any], parts: Iterable[Part]) -> None:
+        """Call `work` with each part; waits."""
+        for _ in self._threads.map(work, parts):
             pass
+
+    def rows_of(self, pages: NDArray[np.int64]) -> NDArray[np.uint32]:
+        """The rows in some pages."""
+        places = (pages[:, None] * PAGE_ROWS + np.arange(PAGE_ROWS)).reshape(-1)
+        rows: NDArray[np.uint32] = self.order[places[places < self.count]]
+        return rows
 
     def rows(self, name: str) -> NDArray[Any]:
         """[pages * PAGE_ROWS, *row shape], an array by places."""

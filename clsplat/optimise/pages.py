@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 from clsplat.constants import FRAME_COUNTS, PAGE_ROWS
 from clsplat.device import Array, Device, Kernel, Transfers, Writing, each, pinned
 from clsplat.errors import OutOfDeviceMemory, TooFewPages
-from clsplat.optimise.page_store import PageStore
+from clsplat.optimise.page_store import THREADS, PageStore
 
 ABSENT = 1 << 31  # as in cl/include/rest.h
 QUAD = 16  # bytes that a work-item copies
-STAGED_BYTES = 32 << 20  # of pages that are on their way together
+STAGED_BYTES = 16 << 20  # of pages that are on their way together
 TURNS = 8  # groups of pages that are on their way at the same time
+FREED_SHARE = 1 / 64  # of the slots: so many more than needed get free at a time
+MANY_MORE = 1.1  # times as many slots, for which all are made anew
 PAGED = (("PAGED", 1),)
 
 MARK = Kernel("pages.cl", "mark_pages", each("count"), count="uint", flags=("uint", "N"),
@@ -176,10 +178,7 @@ class Pages:
         if self.room < min(number, self._most) or not self.room:
             self.settle()  # there may be memory for more by now
             self._make_slots(0)
-            free = self._free() // self.store.page_bytes
-            in_a_buffer = self.device.largest_buffer // (4 * max(self.store.words.values()))
-            self._make_slots(min(self._most, in_a_buffer,
-                                 max(1, free - TURNS * self._staged_pages(free))))
+            self._make_slots(self._possible())
         if number > self.room:
             raise TooFewPages(
                 f"{self.device.name}: a view sees {number * PAGE_ROWS:,} gaussians, and there is "
@@ -191,18 +190,27 @@ class Pages:
         missing = np.flatnonzero(wanted & (self._slot < 0))
         if not len(missing):
             return
-        staying = self._used / (self._now + 1)  # of the pages of slots; less than 1
-        if wanted_next and len(missing) > (self._page < 0).sum():
-            staying -= wanted_next()[self._page]
-        staying[self._slot[wanted & (self._slot >= 0)]] = np.inf
-        staying[self._page < 0] = -np.inf
-        taken = np.argpartition(staying, len(missing) - 1)[:len(missing)]
-        self._take_out(taken[self._changed[taken]])
-        gone = self._page[taken]
-        self._slot[gone[gone >= 0]] = -1
+        free = np.flatnonzero(self._page < 0)
+        if len(free) < len(missing):
+            self._free_slots(len(missing) - len(free), wanted, wanted_next)
+            free = np.flatnonzero(self._page < 0)
+        taken = free[:len(missing)]
         self._slot[missing], self._page[taken], self._used[taken] = taken, missing, self._now
         self._bring(taken, missing)
         self._write_table()
+
+    def _free_slots(self, least: int, wanted: NDArray[np.bool_],
+                    wanted_next: Callable[[], NDArray[np.integer]] | None) -> None:
+        """Take out at least so many pages, and some more, of those that are not wanted."""
+        staying = self._used / (self._now + 1)  # less than 1
+        if wanted_next:
+            staying -= wanted_next()[self._page]
+        here = self._slot[wanted]
+        staying[here[here >= 0]] = staying[self._page < 0] = np.inf
+        number = min(least + int(FREED_SHARE * self.room), int(np.isfinite(staying).sum()))
+        taken = np.argpartition(staying, number - 1)[:number]
+        self._take_out(taken[self._changed[taken]])
+        self._slot[self._page[taken]], self._page[taken] = -1, -1
 
     def bring(self, wanted: NDArray[np.bool_],
               wanted_next: Callable[[], NDArray[np.integer]] | None = None) -> bool:
@@ -226,23 +234,42 @@ class Pages:
             index = np.flatnonzero(some[page_of]).astype(np.uint32)
             yield index, rows[index]
 
-    def rounds(self, most: int = 2**32) -> Iterator[NDArray[np.uint32]]:
-        """Bring all pages to the device, one group after another: the rows of each, at most so
-        many and at least those of a page."""
+    def rounds(self, most: int = 2**32) -> Iterator[NDArray[np.int64]]:
+        """Bring all pages to the device, one group after another, and those that are there first:
+        the pages of each, of at most so many rows and at least one."""
         self.fetch(np.zeros(self.pages, bool))  # so that there are slots
-        size = max(1, min(self.room, most // PAGE_ROWS))
-        turns = np.argsort(self._slot < 0, kind="stable")  # those that are there first
-        for begin in range(0, self.pages, size):
-            wanted = np.zeros(self.pages, bool)
-            wanted[turns[begin:begin + size]] = True
-            self.fetch(wanted)
-            yield self.store.order[np.repeat(wanted, PAGE_ROWS)[:self.store.count]]
+        there, size = self._slot >= 0, max(1, min(self.room, most // PAGE_ROWS))
+        few = max(1, min(size, int(FREED_SHARE * self.room)))  # others take turns in a few slots
+        for pages, together in ((np.flatnonzero(there), size), (np.flatnonzero(~there), few)):
+            for begin in range(0, len(pages), together):
+                group = pages[begin:begin + together]
+                wanted = np.zeros(self.pages, bool)
+                wanted[group] = True
+                self.fetch(wanted)
+                yield group
+                if together == few:
+                    self._used[self._slot[group]] = 0  # they are the first to leave
 
     def settle(self) -> None:
         """Copy all that has changed to the host; the pages stay."""
         self._take_out(np.flatnonzero(self._changed))
         for transit in self._transits:
             self._land(transit)
+
+    def _possible(self) -> int:
+        """How many slots there may be, where there are none."""
+        free = self._free() // self.store.page_bytes
+        in_a_buffer = self.device.largest_buffer // (4 * max(self.store.words.values()))
+        return min(self._most, in_a_buffer, max(1, free - TURNS * self._staged_pages(free)))
+
+    def leave_for_more(self) -> bool:
+        """Take all pages to the host if there is memory for many more slots; whether it is so."""
+        has = self.room
+        possible = min(self._most, has + max(0, self._free()) // self.store.page_bytes)
+        if not has or possible < MANY_MORE * has:
+            return False
+        self.leave()
+        return True
 
     def _staged_pages(self, room: int) -> int:
         """How many pages travel together, with so many slots."""
@@ -276,11 +303,12 @@ class Pages:
             event.wait()
         transit.travelled.clear()
 
-        def land(at: int) -> None:
+        def land(some: range) -> None:
             for name, values in transit.host.items():
-                self.store.contents[name][transit.pages[at]] = values[at]
+                for at in some:
+                    self.store.contents[name][transit.pages[at]] = values[at]
 
-        self.store.in_threads(land, range(len(transit.pages)))
+        self.store.in_threads(land, _dealt(len(transit.pages)))
         transit.pages = transit.pages[:0]
 
     def _bring(self, slots: NDArray[np.int64], pages: NDArray[np.int64]) -> None:
@@ -293,12 +321,13 @@ class Pages:
             most = [len(transit.slots)]
             (some, slots), (coming, pages) = np.split(slots, most), np.split(pages, most)
 
-            def load(at: int, transit: _Transit = transit,
+            def load(some: range, transit: _Transit = transit,
                      coming: NDArray[np.int64] = coming) -> None:
                 for name, values in transit.host.items():
-                    values[at] = self.store.contents[name][coming[at]]
+                    for at in some:
+                        values[at] = self.store.contents[name][coming[at]]
 
-            self.store.in_threads(load, range(len(some)))
+            self.store.in_threads(load, _dealt(len(some)))
             self._begin(transit, some)
             for name in self.store.words:
                 transit.travelled.append(self._transfers.write(
@@ -355,3 +384,8 @@ class Pages:
         self.device.launch(REST_ROWS, PAGED, count=len(rows), rows=rows, places=self.places,
                            slots=self.slots, lies=lies)
         return lies
+
+
+def _dealt(count: int) -> list[range]:
+    """Numbers below a count, in a part for each thread."""
+    return [range(thread, count, THREADS) for thread in range(min(THREADS, count))]

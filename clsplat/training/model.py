@@ -29,7 +29,8 @@ from clsplat.rendering.pipeline import Frame, Renderer
 # of the device's memory; beyond it, moments are coded, and beyond that harmonics are paged: frames
 # take as much again and photos a quarter
 DEVICE_SHARE = 1 / 3
-FRAME_SHARE = 0.2  # of the device's memory that pages leave free for frames
+# of the device's memory that pages leave free: for frames, and once frames have theirs
+FRAME_SHARE, SPARE_SHARE = 0.2, 0.03
 GIVEN_SHARE = 0.04  # of the device's memory that pages give back at a time
 CHUNK_ROWS = 1 << 18  # that are copied to the host together
 FORESEEN = 64  # samples, of which it is known which pages they want
@@ -58,7 +59,7 @@ class Model:
         self.frozen: Array | None = None  # uint[count], not 0 for those that are not trained
         self.count, self.layout = gaussians.count, object()
         self.pages: Pages | None = None
-        self._engine = engine
+        self._engine, self._spare = engine, FRAME_SHARE
         self._asked: dict[int, Reading] = {}  # number of a sample -> the pages that it will want
         self._wants: dict[int, NDArray[np.uint8]] = {}  # view -> bits, the pages that it wanted
         # the same, not read yet: number of the sample at which that is done, and the view
@@ -83,7 +84,7 @@ class Model:
 
     def _free_bytes(self) -> int:
         """Bytes that arrays of the model may take, so that frames find room."""
-        return int((1 - FRAME_SHARE) * self.device.memory_limit) - self.device.memory_bytes
+        return int((1 - self._spare) * self.device.memory_limit) - self.device.memory_bytes
 
     def _fits_buffer(self, count: int) -> bool:
         """Whether all harmonics fit one buffer."""
@@ -167,7 +168,8 @@ class Model:
     def _chunks(self) -> Iterator[NDArray[np.uint32]]:
         """All rows, some at a time, of which the harmonics are on the device then."""
         if self.pages:
-            yield from self.pages.rounds(CHUNK_ROWS)
+            for pages in self.pages.rounds(CHUNK_ROWS):
+                yield self.pages.store.rows_of(pages)
             return
         for first in range(0, self.count, CHUNK_ROWS):
             yield np.arange(first, min(first + CHUNK_ROWS, self.count), dtype=np.uint32)
@@ -234,6 +236,7 @@ class Model:
         self._wants.clear()
         self._foreseen.clear()
         old, self.count, self.layout = self.count, len(growth.source), object()
+        self._spare = FRAME_SHARE
         self.device.trim()  # frames of another number of gaussians need other sizes
         if self.pages:
             self.pages.leave()
@@ -301,6 +304,12 @@ class Model:
         else:
             self.pages.shrink(int(GIVEN_SHARE * self.device.memory_limit))
 
+    def fill_memory(self) -> bool:
+        """Let pages take what frames have left of the memory; whether they are on the host for
+        that, until the next `fetch`."""
+        self._spare = SPARE_SHARE
+        return self.pages is not None and self.pages.leave_for_more()
+
     def look_ahead(self, number: int, upcoming: Upcoming) -> None:
         """Ask which pages a later sample will want."""
         if not (self.pages and self.pages.room and isinstance(self.adam, DeviceAdam)):
@@ -329,6 +338,7 @@ class Model:
             wanted = self._wanted_by(numbers, upcoming)
             if not self.pages.bring(wanted, next_use):
                 self._asked.clear()  # perhaps they want less by now
+                self._spare = SPARE_SHARE
                 self.pages.fetch(self._wanted_by(numbers, upcoming), next_use)
             self.pages.note_change()
 

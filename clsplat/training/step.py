@@ -191,8 +191,10 @@ class Step:
         if any(new is not old for new, old in zip(state, self._recorded_for)):
             self._graphs.clear()
             self._recorded_for = state
-            if self.options.batch > 1:
-                self._batch = BatchMean(self.device, self._model.learned, self.options.batch)
+        views = self.options.batch
+        if views > 1 and not (self._batch and (self._batch.count, self._batch.views)
+                              == (self.count, views)):  # else it may have views of this step
+            self._batch = BatchMean(self.device, self._model.learned, views)
         sample, parts = given.sample, given.parts
         if not self._model.adam.RECORDS or any(part.waits for part, _ in parts):
             return self._enqueue(given, sample.view, None, self.units.counts)
@@ -210,7 +212,13 @@ class Step:
         elif not model.is_bounded:
             graph = self._graphs[key] = self._record(given, inputs)
         else:  # with a frame that has failed, so that nothing has changed if there is no memory
-            graph = self._record_within(given, {**inputs, "counts": self._failed})
+            failing = {**inputs, "counts": self._failed}
+            graph = self._record_within(given, failing)
+            if model.fill_memory():
+                del graph  # it keeps the arrays of pages
+                self._graphs.clear()
+                given.fetch()
+                graph = self._record_within(given, failing)
             self._graphs[key] = graph
             graph.replay(**inputs)
         measured: Measured = graph.result

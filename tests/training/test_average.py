@@ -8,11 +8,11 @@ import pytest
 from clsplat.gaussians import LEARNED
 from clsplat.io.scenes.read import read_scene
 from clsplat.training.model import Model
-from clsplat.training.parts.average import EVERY, Average
+from clsplat.training.parts.average import LEAST_EVERY, Average
 from tests.data.tiny_training import CITY, model_digest, resumed, trained
 from tests.training.test_model import gaussians_of
 
-TINY = {"schedule": "sig", "init": "sfm", "levels": (1.0,), "iterations": 4 * EVERY + 20,
+TINY = {"schedule": "sig", "init": "sfm", "levels": (1.0,), "iterations": 4 * LEAST_EVERY + 20,
         "average": 0.5, "downscale": 8.0, "eval_every": 0, "exposure": "off"}
 
 
@@ -62,7 +62,7 @@ def test_other_gaussians_begin_another_mean_and_frozen_gaussians_stay(item_devic
 def test_a_training_resumed_among_its_samples_ends_in_the_same_bytes(item_device, tmp_path):
     scene = read_scene(CITY)
     whole = trained(tmp_path / "whole", scene, item_device, **TINY)
-    stopped = trained(tmp_path / "stopped", scene, item_device, **TINY, stop_at=3 * EVERY + 7)
+    stopped = trained(tmp_path / "stopped", scene, item_device, **TINY, stop_at=3 * LEAST_EVERY + 7)
     assert model_digest(resumed(stopped, scene, item_device, **TINY)) == model_digest(whole)
     other = trained(tmp_path / "other", scene, item_device, **{**TINY, "average": 0.1})
     assert model_digest(other) != model_digest(whole)

@@ -141,12 +141,13 @@ def test_pages_give_memory_back_for_frames(float_device, monkeypatch):
     """Under a budget that frames exceed at first, with the same bytes."""
     results = []
     for bounded in (False, True):
+        if bounded:
+            monkeypatch.setattr(models, "GIVEN_SHARE", 0.01)
+            monkeypatch.setattr(models, "FRAME_SHARE", 0.0)  # so that they are missing at first
         run = Run(float_device, monkeypatch, 0, count=6 * COUNT)
         if bounded:
             float_device.trim()
             monkeypatch.setattr(float_device, "memory_limit", float_device.memory_bytes + 100_000)
-            monkeypatch.setattr(models, "GIVEN_SHARE", 0.01)
-            monkeypatch.setattr(models, "FRAME_SHARE", 0.0)  # so that they are missing at first
         run.take(12)
         results.append(run.arrays())
         assert (run.model.pages is not None) == bounded

@@ -61,7 +61,7 @@ def measured(scene, output, count, steps, budgets, flags):
     output.mkdir(parents=True, exist_ok=True)
     start, config = output / "start.ply", output / "config.toml"
     write_start(scene, count, start)
-    config.write_text(f"{CONFIG}densify_from = {steps}\n", "utf-8")
+    config.write_text(f"{CONFIG}densify_until = 1\n", "utf-8")
     rows, first = [], None
     for budget in budgets:
         run = output / budget

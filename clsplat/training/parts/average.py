@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from clsplat.training.session import Session
     from clsplat.training.start.prepare import PreparedScene
 
-EVERY = 50  # steps between samples: neighbouring steps differ little
+LEAST_EVERY = 50  # steps between samples: neighbouring steps differ little
+MOST_SAMPLES = 24  # long runs take fewer, as paged harmonics come to the host for each
 
 
 class Average(Part):
@@ -44,7 +45,9 @@ class Average(Part):
 
     def before_step(self, session: Session, plan: Plan) -> dict[str, Any] | None:
         done, options = session.iteration, session.options
-        if done % EVERY == 0 and done > (1 - options.average) * options.iterations:
+        averaged = options.average * options.iterations
+        every = max(LEAST_EVERY, int(averaged / MOST_SAMPLES))
+        if done % every == 0 and done > options.iterations - averaged:
             self._add(session)
         return None
 
