@@ -119,18 +119,18 @@ inline vmask may_be_seen(__global const real *camera, real margin, vreal x, vrea
     const real ratio_y = fmax(fabs(ratios[1]), fabs(ratios[3]));
     const vreal scale = exp(log_scale + (real)MAX_MOMENTUM_RATIO * scale_sum);
     const vreal reach_x = closeness_x * scale, reach_y = closeness_y * scale;
+    const real more = 1 + margin / 100; // large ones grow by more pixels
     const vreal extent_x =
-        sqrt((real)MOST_CUTOFF * (reach_x * reach_x * (1 + ratio_x * ratio_x) + low_pass)) +
+        more * sqrt((real)MOST_CUTOFF * (reach_x * reach_x * (1 + ratio_x * ratio_x) + low_pass)) +
         closeness_x * max_drift * (1 + fabs(place_x)) + margin;
     const vreal extent_y =
-        sqrt((real)MOST_CUTOFF * (reach_y * reach_y * (1 + ratio_y * ratio_y) + low_pass)) +
+        more * sqrt((real)MOST_CUTOFF * (reach_y * reach_y * (1 + ratio_y * ratio_y) + low_pass)) +
         closeness_y * max_drift * (1 + fabs(place_y)) + margin;
     const vreal mean_x = focal[0] * place_x + centre[0], mean_y = focal[1] * place_y + centre[1];
     const vmask inside = TO_MASK(mean_x + extent_x > 0) & TO_MASK(mean_y + extent_y > 0) &
                          TO_MASK(mean_x - extent_x < size[0]) &
                          TO_MASK(mean_y - extent_y < size[1]);
-    return TO_MASK(z + max_drift > near / (1 + margin / 100)) &
-           (TO_MASK(nearest <= near * (1 + margin / 100)) | inside);
+    return TO_MASK(z + max_drift > near / more) & (TO_MASK(nearest <= near * more) | inside);
 }
 
 // The sum C of a field by which a row that is not frozen may have drifted.

@@ -7,6 +7,8 @@
 #include "counts.h"
 #include "rest.h"
 
+#define LACKS_PAGE 2 // why a frame failed: not for lack of room
+
 __kernel void mark_pages(uint count, __global const uint *restrict flags,
                          __global const uint *restrict places, __global uint *restrict wanted)
 {
@@ -22,24 +24,9 @@ __kernel void require_pages(uint pages, uint clears, __global const uint *restri
 {
     FOR_EACH(page, pages) {
         if (wanted[page] && (slots[page] & ABSENT))
-            counts[COUNT_FAILED] = 1;
+            counts[COUNT_FAILED] = LACKS_PAGE;
         if (clears)
             wanted[page] = 0;
-    }
-}
-
-// Copy pages of `quads` times 16 bytes between their slots, listed in `list`: uint[count], and
-// staged: uint4[count, quads]. brings: into the slots, otherwise out of them.
-__kernel void copy_pages(uint count, uint quads, uint brings, __global const uint *restrict list,
-                         __global uint4 *restrict slots, __global uint4 *restrict staged)
-{
-    FOR_EACH(i, (ulong)count * quads) {
-        const uint page = (uint)i / quads;
-        const ulong at = (ulong)list[page] * quads + ((uint)i - page * quads);
-        if (brings)
-            slots[at] = staged[i];
-        else
-            staged[i] = slots[at];
     }
 }
 

@@ -44,6 +44,7 @@ MOST_SHARING, CORES_SHARING = 4, 4
 MODEL_SHARE = 0.27
 LEAST_JOINT_STEPS = 450  # fewer are not worth it
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
+PIXELS_OF_A_PLACE = 10  # for a gaussian, of one of the photos that show it: 9 to 14 on three sets
 # of larger cities
 GIB = 2**30
 COARSE_COST = 0.25  # time of the coarse run, as a share of the time of one run of the whole
@@ -184,8 +185,12 @@ def facts_of_whole(scene: Scene, options: SceneOptions) -> tuple[SceneFacts, int
 
 def expected_gaussians(facts: SceneFacts, options: ScheduledOptions) -> int:
     """About how many gaussians the whole scene, with these facts, has at the end."""
-    limit, _ = schedule_of(options.schedule).planned_limit(options, facts)
-    return max(facts.count, facts.pixels // PIXELS_PER_GAUSSIAN if limit is None else limit)
+    schedule = schedule_of(options.schedule)
+    limit, _ = schedule.planned_limit(options, facts)
+    expected = facts.pixels // PIXELS_PER_GAUSSIAN if limit is None else limit
+    if schedule.begins_dense and facts.shown_in >= 1:  # false for a nan
+        expected = min(expected, int(facts.pixels / facts.shown_in / PIXELS_OF_A_PLACE))
+    return max(facts.count, expected)
 
 
 def gaussians_that_fit(device: Device, options: RenderingOptions) -> int:

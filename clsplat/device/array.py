@@ -146,35 +146,34 @@ class Writing:
 
 
 class Transfers:
-    """A second queue of a device, on which arrays travel beside its kernels. An event is a point
-    that one queue can wait for the other to reach; `wait` of it lets the host wait."""
+    """A second queue of a device, in which rows travel one after another, beside the kernels."""
 
     def __init__(self, device: Device) -> None:
         self._kernels, self._queue = device.queue, cl.CommandQueue(device.context, device.handle)
 
-    def after_kernels(self) -> cl.Event:
-        """The end of all kernels so far."""
-        event = cl.enqueue_marker(self._kernels)
+    def follow_kernels(self) -> None:
+        """Let all that travels from now on wait for the end of the kernels so far."""
+        cl.enqueue_barrier(self._queue, wait_for=[cl.enqueue_marker(self._kernels)])
         self._kernels.flush()
-        return event
 
-    def let_kernels_wait(self, event: cl.Event) -> None:
-        """Let all kernels that follow wait for an event."""
-        cl.enqueue_barrier(self._kernels, wait_for=[event])
-
-    def read(self, array: Array, host: NDArray[Any], after: cl.Event) -> cl.Event:
-        """Begin to copy an array to the host; the end of it."""
-        event: cl.Event = cl.enqueue_copy(self._queue, host, array.buffer, is_blocking=False,
-                                          wait_for=[after])
+    def lead_kernels(self) -> None:
+        """Let all kernels that follow wait for what is on its way."""
+        cl.enqueue_barrier(self._kernels, wait_for=[cl.enqueue_marker(self._queue)])
         self._queue.flush()
-        return event
 
-    def write(self, array: Array, host: NDArray[Any], after: cl.Event | None) -> cl.Event:
-        """Begin to overwrite an array with values that stay till the end of it."""
-        event: cl.Event = cl.enqueue_copy(self._queue, array.buffer, host, is_blocking=False,
-                                          wait_for=[after] if after else None)
-        self._queue.flush()
-        return event
+    def read(self, array: Array, first: int, host: NDArray[Any]) -> None:
+        """Begin to copy rows of an array, from `first` on, to the host."""
+        cl.enqueue_copy(self._queue, host, array.buffer, is_blocking=False,
+                        src_offset=first * array.nbytes // len(array))
+
+    def write(self, array: Array, first: int, host: NDArray[Any]) -> None:
+        """Begin to overwrite rows, from `first` on, with values that stay till that is done."""
+        cl.enqueue_copy(self._queue, array.buffer, host, is_blocking=False,
+                        dst_offset=first * array.nbytes // len(array))
+
+    def finish(self) -> None:
+        """Wait for all that is on its way."""
+        self._queue.finish()
 
 
 def pinned(device: Device, shape: tuple[int, ...]) -> NDArray[np.uint32]:

@@ -6,10 +6,11 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,10 @@ from clsplat.errors import InputError, reason
 
 HOST_SHARE = 0.5  # of the host's memory that pages may take
 THREADS = min(8, os.cpu_count() or 1)  # that copy pages
-Part = TypeVar("Part")
+BLOCK_WORDS = 1 << 24  # of memory, in 4 bytes: few devices make one of all pages
 BITS = 10  # of each coordinate in the order of pages
+
+Words = NDArray[np.uint32]
 
 
 class PageStore:
@@ -31,6 +34,7 @@ class PageStore:
     positions : float[N, 3], by which rows are put in pages.
     values : name of an array -> [N, *row shape], whose values are copied.
     folder : of the file of what host memory cannot hold; None: that of temporary files.
+    allocate : makes host memory of a number of 4 bytes, such as a device reads at full speed.
 
     Attributes
     ----------
@@ -38,19 +42,22 @@ class PageStore:
     order : uint32[N], the row of each place; the places of page p begin at p * PAGE_ROWS.
     place : uint32[N], the place of each row.
     words : name -> the number of 4 bytes in a page.
-    contents : name -> uint32[pages, words].
     """
 
     def __init__(self, positions: NDArray[np.floating], values: Mapping[str, NDArray[Any]],
-                 folder: Path | None = None) -> None:
-        self._folder, self._threads = folder, ThreadPoolExecutor(THREADS)
+                 folder: Path | None = None,
+                 allocate: Callable[[int], Any] = partial(np.empty, dtype=np.uint32)) -> None:
+        self._folder, self._allocate = folder, allocate
+        self._threads, self._spare = ThreadPoolExecutor(THREADS), list[Words]()
         self._kinds = {name: (rows.shape[1:], rows.dtype) for name, rows in values.items()}
         self.words = {name: PAGE_ROWS * math.prod(shape) * dtype.itemsize // 4
                       for name, (shape, dtype) in self._kinds.items()}
+        self._together = {name: max(1, BLOCK_WORDS // each)  # pages in a block of memory
+                          for name, each in self.words.items()}
         self._arrange(positions)
-        self.contents = {name: self._zeros(name) for name in values}
+        self._blocks = {name: self._new_blocks(name) for name in values}
         for name, rows in values.items():
-            self._fill(name, rows, self.order)
+            self._fill(name, partial(np.take, rows, axis=0))
 
     @property
     def page_bytes(self) -> int:
@@ -61,44 +68,68 @@ class PageStore:
         """The shape of a row of an array, and its type."""
         return self._kinds[name]
 
+    def memory(self, name: str, first: int, count: int = 1) -> Words:
+        """uint32[count, words], pages of an array from `first` on, which lie in one block."""
+        block, place = divmod(first, self._together[name])
+        words = self.words[name]
+        return self._blocks[name][block][place * words:(place + count) * words].reshape(-1, words)
+
+    def together(self, name: str, pages: NDArray[np.integer]) -> NDArray[np.integer]:
+        """The block in which each of the pages of an array lies."""
+        return pages // self._together[name]
+
+    def _rows_at(self, name: str, page: int) -> NDArray[Any]:
+        """The rows of an array in a page."""
+        shape, dtype = self._kinds[name]
+        rows = self.memory(name, page).reshape(-1).view(dtype).reshape(PAGE_ROWS, *shape)
+        return rows[:self.count - page * PAGE_ROWS]
+
     def _arrange(self, positions: NDArray[np.floating]) -> None:
         self.count, self.pages = len(positions), max(1, -(-len(positions) // PAGE_ROWS))
         self.order = spatial_order(positions)
         self.place = np.empty(self.count, np.uint32)
         self.place[self.order] = np.arange(self.count, dtype=np.uint32)
 
-    def _zeros(self, name: str) -> NDArray[np.uint32]:
-        """Zeros for all pages of an array; in a file without a name where the host has too little
-        memory for all arrays."""
-        shape = self.pages, self.words[name]
-        if self.pages * self.page_bytes <= HOST_SHARE * host_memory():
-            return np.zeros(shape, np.uint32)
-        folder, nbytes = self._folder or Path(tempfile.gettempdir()), 4 * math.prod(shape)
+    def _new_blocks(self, name: str) -> list[Words]:
+        """Memory for all pages of an array; a file without a name where the host has too little for
+        all arrays."""
+        together, words = self._together[name], self.words[name]
+        if self.pages * self.page_bytes > HOST_SHARE * host_memory():
+            whole = self._file(self.pages * words)
+            return [whole[first * words:(first + together) * words]
+                    for first in range(0, self.pages, together)]
+        size = max(BLOCK_WORDS, *self.words.values())
+        return [self._spare.pop() if self._spare else self._allocate(size)
+                for _ in range(0, self.pages, together)]
+
+    def _file(self, words: int) -> Words:
+        folder, nbytes = self._folder or Path(tempfile.gettempdir()), 4 * words
         try:
             with tempfile.TemporaryFile(dir=folder) as file:
                 if hasattr(os, "posix_fallocate"):  # or a full disk would end the process later
                     os.posix_fallocate(file.fileno(), 0, nbytes)
-                    return np.memmap(file, np.uint32, "r+", shape=shape)
-                return np.memmap(file, np.uint32, "w+", shape=shape)
+                    return np.memmap(file, np.uint32, "r+", shape=words)
+                return np.memmap(file, np.uint32, "w+", shape=words)
         except OSError as error:
             raise InputError(
                 f"{folder}: no room for {nbytes >> 20:,} MiB of gaussians that fit neither the "
                 f"device nor the host's memory ({reason(error)}); free some, or use "
                 "--max-gaussians") from None
 
-    def _fill(self, name: str, source: NDArray[Any], rows: NDArray[np.uint32]) -> None:
-        """Put these rows of an array at the places, in their order."""
-        values = self.rows(name)
-
+    def _fill(self, name: str, rows_of: Callable[[NDArray[np.uint32]], NDArray[Any]]) -> None:
+        """Put rows of an array in all pages; `rows_of` returns those of these numbers."""
         def fill(page: int) -> None:
-            places = slice(page * PAGE_ROWS, min((page + 1) * PAGE_ROWS, self.count))
-            np.take(source, rows[places], axis=0, out=values[places], mode="clip")
+            self._rows_at(name, page)[:] = rows_of(self._order_of(page))
 
-        self.in_threads(fill, range(self.pages))
+        self._on_pages(fill)
 
-    def in_threads(self, work: Callable[[Part], Any], parts: Iterable[Part]) -> None:
-        """Call `work` with each part; waits."""
-        for _ in self._threads.map(work, parts):
+    def _order_of(self, page: int) -> NDArray[np.uint32]:
+        """The rows in a page."""
+        return self.order[page * PAGE_ROWS:(page + 1) * PAGE_ROWS]
+
+    def _on_pages(self, work: Callable[[int], Any]) -> None:
+        """Call `work` with each page, in threads; waits."""
+        for _ in self._threads.map(work, range(self.pages)):
             pass
 
     def rows_of(self, pages: NDArray[np.int64]) -> NDArray[np.uint32]:
@@ -107,32 +138,32 @@ class PageStore:
         rows: NDArray[np.uint32] = self.order[places[places < self.count]]
         return rows
 
-    def rows(self, name: str) -> NDArray[Any]:
-        """[pages * PAGE_ROWS, *row shape], an array by places."""
+    def read(self, name: str) -> NDArray[Any]:
+        """An array of all rows, as a copy."""
         shape, dtype = self._kinds[name]
-        return self.contents[name].reshape(-1).view(dtype).reshape(-1, *shape)
+        found = np.empty((self.count, *shape), dtype)
 
-    def in_rows(self, places: NDArray[Any]) -> NDArray[Any]:
-        """Values by places, in the order of rows."""
-        return np.take(places, self.place, axis=0)
+        def read(page: int) -> None:
+            found[self._order_of(page)] = self._rows_at(name, page)
 
-    def in_places(self, rows: NDArray[Any]) -> NDArray[Any]:
-        """Values by rows, in the order of places."""
-        return np.take(rows, self.order, axis=0)
+        self._on_pages(read)
+        return found
 
-    def add_to(self, name: str, total: NDArray[Any] | None) -> NDArray[Any]:
-        """Add an array to a sum of earlier ones, by places; None: it begins."""
-        values = self.rows(name)[:self.count]
-        if total is None:
-            return values.copy()
-        sums = total
+    def write(self, name: str, values: NDArray[Any], first: int = 0) -> None:
+        """Overwrite rows of an array from row `first` on."""
+        places = self.place[first:first + len(values)]
+        order = np.argsort(places, kind="stable")
+        ends = np.searchsorted(places[order], np.arange(self.pages + 1) * PAGE_ROWS)
+        for page in np.flatnonzero(np.diff(ends)).tolist():
+            rows = order[ends[page]:ends[page + 1]]
+            self._rows_at(name, page)[places[rows] - page * PAGE_ROWS] = values[rows]
 
+    def add_to(self, name: str, total: NDArray[Any]) -> None:
+        """Add an array to a sum of earlier ones."""
         def add(page: int) -> None:
-            places = slice(page * PAGE_ROWS, (page + 1) * PAGE_ROWS)
-            sums[places] += values[places]
+            total[self._order_of(page)] += self._rows_at(name, page)
 
-        self.in_threads(add, range(self.pages))
-        return total
+        self._on_pages(add)
 
     def regrow(self, source: NDArray[np.uint32], kept: int, positions: NDArray[np.floating],
                inherited: str) -> None:
@@ -141,10 +172,25 @@ class PageStore:
         places = self.place[source]
         self._arrange(positions)
         for name in self._kinds:
-            old, self.contents[name] = self.rows(name), self._zeros(name)
-            self._fill(name, old, places[self.order])
-            if name != inherited:
-                self.rows(name)[self.place[kept:]] = 0
+            old = self._blocks.pop(name)
+            self._blocks[name] = self._new_blocks(name)
+            self._fill(name, partial(self._inherited, name, old, places,
+                                     self.count if name == inherited else kept))
+            if not isinstance(old[0], np.memmap):
+                self._spare += old
+
+    def _inherited(self, name: str, old: list[Words], places: NDArray[np.uint32], kept: int,
+                   rows: NDArray[np.uint32]) -> NDArray[Any]:
+        """Rows of an array, from the old blocks and the places that each had there; those from
+        `kept` on are 0."""
+        shape, dtype = self._kinds[name]
+        block, place = np.divmod(places[rows], PAGE_ROWS * self._together[name])
+        found, takes = np.zeros((len(rows), *shape), dtype), rows < kept
+        words = self._together[name] * self.words[name]
+        for each in np.unique(block[takes]).tolist():
+            some = takes & (block == each)
+            found[some] = old[each][:words].view(dtype).reshape(-1, *shape)[place[some]]
+        return found
 
 
 def host_memory() -> float:

@@ -10,7 +10,7 @@ slot fails, and is repeated once the page is there (units.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 from clsplat.constants import FRAME_COUNTS, PAGE_ROWS
 from clsplat.device import Array, Device, Kernel, Transfers, Writing, each, pinned
 from clsplat.errors import OutOfDeviceMemory, TooFewPages
-from clsplat.optimise.page_store import THREADS, PageStore
+from clsplat.optimise.page_store import PageStore
 
 ABSENT = 1 << 31  # as in cl/include/rest.h
-QUAD = 16  # bytes that a work-item copies
-STAGED_BYTES = 16 << 20  # of pages that are on their way together
-TURNS = 8  # groups of pages that are on their way at the same time
+LACKS_PAGE = 2  # COUNT_FAILED of a frame that failed for that, as in cl/pages.cl
+TABLES = 8  # copies of `Pages.slots` that are on their way at the same time
 FREED_SHARE = 1 / 64  # of the slots: so many more than needed get free at a time
 MANY_MORE = 1.1  # times as many slots, for which all are made anew
 PAGED = (("PAGED", 1),)
@@ -34,35 +33,8 @@ MARK = Kernel("pages.cl", "mark_pages", each("count"), count="uint", flags=("uin
               places=("uint", "N"), wanted=("uint", "Q"))
 REQUIRE = Kernel("pages.cl", "require_pages", each("pages"), pages="uint", clears="uint",
                  slots=("uint", "Q"), wanted=("uint", "Q"), counts=("uint", FRAME_COUNTS))
-COPY = Kernel("pages.cl", "copy_pages", each("count quads"), count="uint", quads="uint",
-              brings="uint", list=("uint", "L"), slots=("uint", "P", "W"),
-              staged=("uint", "G", "W"))
 REST_ROWS = Kernel("pages.cl", "rest_rows", each("count"), count="uint", rows=("uint", "C"),
                    places=("uint", "N"), slots=("uint", "Q"), lies=("uint", "C"))
-
-
-class _Transit:
-    """Memory in which a group of pages travels.
-
-    Attributes
-    ----------
-    staged : by name of an array, uint[most, words of a page], on the device.
-    host : the same in host memory.
-    list, slots : uint[most], the slots from or to which they travel, on the device and the host.
-    pages : int[], those that are on their way to the host.
-    travelled : what the host waits for before it uses this memory again.
-    used : the end of the last kernel that used this memory.
-    """
-
-    def __init__(self, device: Device, words: Mapping[str, int], most: int) -> None:
-        self.staged = {name: device.allocate((most, each), np.uint32)
-                       for name, each in words.items()}
-        self.host = {name: pinned(device, (most, each)) for name, each in words.items()}
-        self.list = device.allocate(most, np.uint32)
-        self.slots = pinned(device, (most,))
-        self.pages = np.zeros(0, np.int64)
-        self.travelled: list[Any] = []
-        self.used: Any = None
 
 
 @dataclass(eq=False)
@@ -107,17 +79,17 @@ class Pages:
     def download(self, name: str) -> NDArray[Any]:
         """An array of all rows, as a copy."""
         self.settle()
-        return self.store.in_rows(self.store.rows(name))
+        return self.store.read(name)
 
-    def add_to(self, name: str, total: NDArray[Any] | None) -> NDArray[Any]:
+    def add_to(self, name: str, total: NDArray[Any]) -> None:
         """As `PageStore.add_to`."""
         self.settle()
-        return self.store.add_to(name, total)
+        self.store.add_to(name, total)
 
     def write(self, name: str, values: NDArray[Any], first: int = 0) -> None:
-        """Overwrite rows of an array from row `first` on."""
+        """As `PageStore.write`."""
         self.leave()
-        self.store.rows(name)[self.store.place[first:first + len(values)]] = values
+        self.store.write(name, values, first)
 
     def regrow(self, source: NDArray[np.uint32], kept: int, positions: NDArray[np.floating],
                inherited: str) -> None:
@@ -136,11 +108,13 @@ class Pages:
     def _make_slots(self, room: int) -> None:
         self.room, self.layout = room, object()
         self.arrays: dict[str, Array] = {}
-        self._transits = list[_Transit]()
-        rows = max(1, room * PAGE_ROWS)
-        for name in self.store.words:
+        self._slots_of: dict[str, Array] = {}  # the same as uint[slots, words]
+        rows = max(1, room) * PAGE_ROWS
+        for name, words in self.store.words.items():
             shape, dtype = self.store.kind(name)
-            self.arrays[name] = self.device.zeros((rows, *shape), dtype)
+            array = self.arrays[name] = self.device.zeros((rows, *shape), dtype)
+            width = math.prod(shape) * PAGE_ROWS
+            self._slots_of[name] = array.reshaped(max(1, room), width).viewed(np.uint32)
         self._slot = np.full(self.pages, -1)  # of each page; -1: none
         self._page = np.full(room, -1)  # of each slot; -1: none
         self._changed = np.zeros(room, bool)  # slots of which the host has an old copy
@@ -148,9 +122,7 @@ class Pages:
         self._now = 0
         self.slots.fill(ABSENT)
         if room:
-            self._transits = [_Transit(self.device, self.store.words, self._staged_pages(room))
-                              for _ in range(TURNS)]
-            self._tables = [_Table(pinned(self.device, (self.pages,))) for _ in range(TURNS)]
+            self._tables = [_Table(pinned(self.device, (self.pages,))) for _ in range(TABLES)]
 
     def shrink(self, nbytes: int) -> None:
         """Give back at least so many bytes of slots; OutOfDeviceMemory where there are none."""
@@ -253,14 +225,13 @@ class Pages:
     def settle(self) -> None:
         """Copy all that has changed to the host; the pages stay."""
         self._take_out(np.flatnonzero(self._changed))
-        for transit in self._transits:
-            self._land(transit)
+        self._transfers.finish()
 
     def _possible(self) -> int:
         """How many slots there may be, where there are none."""
         free = self._free() // self.store.page_bytes
         in_a_buffer = self.device.largest_buffer // (4 * max(self.store.words.values()))
-        return min(self._most, in_a_buffer, max(1, free - TURNS * self._staged_pages(free)))
+        return min(self._most, in_a_buffer, max(1, free))
 
     def leave_for_more(self) -> bool:
         """Take all pages to the host if there is memory for many more slots; whether it is so."""
@@ -271,77 +242,34 @@ class Pages:
         self.leave()
         return True
 
-    def _staged_pages(self, room: int) -> int:
-        """How many pages travel together, with so many slots."""
-        return max(1, min(STAGED_BYTES // self.store.page_bytes, room // (8 * TURNS)))
-
-    def _next_transit(self) -> _Transit:
-        """The one that began longest ago, free."""
-        self._transits.append(transit := self._transits.pop(0))
-        self._land(transit)
-        return transit
-
     def _take_out(self, slots: NDArray[np.int64]) -> None:
-        """Begin to copy the pages of slots to the host."""
-        while len(slots):
-            transit = self._next_transit()
-            some, slots = np.split(slots, [len(transit.slots)])
-            self._begin(transit, some)
-            self._transfers.let_kernels_wait(transit.travelled[-1])
-            for name in self.store.words:
-                self._copy(name, transit, len(some), False)
-            transit.used, transit.pages = self._transfers.after_kernels(), self._page[some]
-            transit.travelled += [
-                self._transfers.read(transit.staged[name].narrow(len(some)),
-                                     transit.host[name][:len(some)], transit.used)
-                for name in self.store.words]
-            self._changed[some] = False
-
-    def _land(self, transit: _Transit) -> None:
-        """Wait for pages that are on their way."""
-        for event in transit.travelled:
-            event.wait()
-        transit.travelled.clear()
-
-        def land(some: range) -> None:
-            for name, values in transit.host.items():
-                for at in some:
-                    self.store.contents[name][transit.pages[at]] = values[at]
-
-        self.store.in_threads(land, _dealt(len(transit.pages)))
-        transit.pages = transit.pages[:0]
+        """Begin to copy the pages of slots to the host, once all kernels so far have ended; what
+        comes to these slots later does so after that."""
+        self._transfers.follow_kernels()
+        for name, first, page, count in self._runs(slots, self._page[slots]):
+            self._transfers.read(self._slots_of[name], first,
+                                 self.store.memory(name, page, count))
+        self._changed[slots] = False
 
     def _bring(self, slots: NDArray[np.int64], pages: NDArray[np.int64]) -> None:
-        """Begin to copy pages to slots."""
-        for transit in self._transits:  # a page may still be on its way to the host
-            if np.isin(pages, transit.pages).any():
-                self._land(transit)
-        while len(slots):
-            transit = self._next_transit()
-            most = [len(transit.slots)]
-            (some, slots), (coming, pages) = np.split(slots, most), np.split(pages, most)
+        """Begin to copy pages to slots; kernels that follow wait for the end of it."""
+        for name, first, page, count in self._runs(slots, pages):
+            self._transfers.write(self._slots_of[name], first,
+                                  self.store.memory(name, page, count))
+        self._transfers.lead_kernels()
 
-            def load(some: range, transit: _Transit = transit,
-                     coming: NDArray[np.int64] = coming) -> None:
-                for name, values in transit.host.items():
-                    for at in some:
-                        values[at] = self.store.contents[name][coming[at]]
-
-            self.store.in_threads(load, _dealt(len(some)))
-            self._begin(transit, some)
-            for name in self.store.words:
-                transit.travelled.append(self._transfers.write(
-                    transit.staged[name].narrow(len(some)), transit.host[name][:len(some)],
-                    transit.used))
-            self._transfers.let_kernels_wait(transit.travelled[-1])
-            for name in self.store.words:
-                self._copy(name, transit, len(some), True)
-            transit.used = self._transfers.after_kernels()
-
-    def _begin(self, transit: _Transit, slots: NDArray[np.int64]) -> None:
-        """Bring the list of slots from or to which pages travel."""
-        transit.slots[:len(slots)] = slots
-        transit.travelled.append(self._transfers.write(transit.list, transit.slots, transit.used))
+    def _runs(self, slots: NDArray[np.int64], pages: NDArray[np.int64]
+              ) -> Iterator[tuple[str, int, int, int]]:
+        """(Name of an array, first slot, first page, their number) of all that travel together, as
+        they are neighbours on both sides."""
+        order = np.argsort(slots)
+        slots, pages = slots[order], pages[order]
+        for name in self.store.words if len(slots) else ():
+            ends = (np.diff(slots) != 1) | (np.diff(pages) != 1) | (
+                np.diff(self.store.together(name, pages)) != 0)
+            firsts = np.concatenate([[0], np.flatnonzero(ends) + 1, [len(slots)]])
+            for first, count in zip(firsts.tolist(), np.diff(firsts).tolist()):
+                yield name, int(slots[first]), int(pages[first]), count
 
     def _write_table(self) -> None:
         """Let the kernels that follow know where pages are."""
@@ -351,14 +279,6 @@ class Pages:
         turn.host[:] = np.where(self._slot < 0, ABSENT, self._slot)
         turn.writing = Writing(self.slots, turn.host)
         self._tables.append(turn)
-
-    def _copy(self, name: str, transit: _Transit, count: int, brings: bool) -> None:
-        """Copy pages of an array between their slots and the memory of a transit."""
-        array = self.arrays[name]
-        pages = array.reshaped(self.room, math.prod(array.shape) // self.room)
-        self.device.launch(COPY, count=count, quads=4 * self.store.words[name] // QUAD,
-                           brings=int(brings), list=transit.list.narrow(count),
-                           slots=pages.viewed(np.uint32), staged=transit.staged[name].narrow(count))
 
     # --- what frames need
 
@@ -385,7 +305,3 @@ class Pages:
                            slots=self.slots, lies=lies)
         return lies
 
-
-def _dealt(count: int) -> list[range]:
-    """Numbers below a count, in a part for each thread."""
-    return [range(thread, count, THREADS) for thread in range(min(THREADS, count))]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from clsplat.camera import turned
 from clsplat.covisibility.source_views import visibility
 from clsplat.gaussians import Gaussians
-from clsplat.partition.region import world_of
+from clsplat.partition.region import in_parts, world_of
 
 if TYPE_CHECKING:
     from clsplat.camera import Camera
@@ -82,8 +82,8 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     `gaussians` : the coarse model, in the local frame of the whole `scene`; `views` : of the block,
     with cameras of the size they are trained at (`Scene.reduced`)."""
     positions = gaussians.positions.astype(np.float64)
-    reached = region.reaches(world_of(scene, positions))
-    own = region.owns(world_of(scene, positions))
+    reached = in_parts(region.reaches, world_of(scene, positions))
+    own = in_parts(region.owns, world_of(scene, positions))
     rest = ~reached
     size = np.ones(len(positions))
     deviations = np.exp(np.maximum.reduce(gaussians.log_scales[rest].T))
@@ -101,7 +101,7 @@ def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, mo
     """A start with those dense gaussians, at most to `most` in all, that its region reaches and
     that stand in its gaps: where no other one of the start lies within a gaussian's deviation."""
     positions = dense.positions.astype(np.float64)
-    added = np.flatnonzero(region.reaches(world_of(scene, positions)))
+    added = np.flatnonzero(in_parts(region.reaches, world_of(scene, positions)))
     if start.gaussians.count:
         distance, _ = scipy.spatial.cKDTree(start.gaussians.positions, balanced_tree=False).query(
             positions[added], workers=-1)
@@ -188,8 +188,11 @@ def trainable(scene: Scene, region: Region, positions: NDArray[np.floating],
 
     These are the gaussians that its region reaches with TRAINED_DEVIATIONS standard deviations.
     `positions`, `log_scales` : [N, 3], in the local frame of the scene."""
-    deviations = np.exp(np.maximum.reduce(log_scales.T).astype(np.float64))
-    return region.reaches(world_of(scene, positions), scene.unit * TRAINED_DEVIATIONS * deviations)
+    def trains(some: NDArray[np.floating], logs: NDArray[np.floating]) -> NDArray[np.bool_]:
+        deviations = np.exp(np.maximum.reduce(logs.T).astype(np.float64))
+        return region.reaches(world_of(scene, some), scene.unit * TRAINED_DEVIATIONS * deviations)
+
+    return in_parts(trains, positions, log_scales)
 
 
 def seen_pixels(scene: Scene, region: Region, views: Sequence[View]) -> int:
@@ -218,7 +221,7 @@ def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequ
     region, views : the block's cell and margin, and its views, of full size.
     """
     positions = gaussians.positions.astype(np.float64)
-    positions = positions[region.reaches(world_of(scene, positions))]
+    positions = positions[in_parts(region.reaches, world_of(scene, positions))]
     positions = positions[::max(1, -(-len(positions) // MOST_BOUNDED))]
     windows, near = dict[str, Window](), scene.near_plane
     for view in views:

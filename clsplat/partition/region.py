@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -18,6 +19,8 @@ ANGLE_STEPS = 90  # rectangles that are tried over a quarter turn
 MOST_TRIED = 50_000  # content points that the rectangles are tried on
 RECTANGLE_QUANTILES = (0.002, 0.998)  # inside the rectangle; with fewer, corners would be cut off
 ROTATION_TOLERANCE = 1e-6  # largest element of R R^T - I in a rotation that is read from a file
+MOST_RANKED = 1_000_000  # values whose quantiles are sought
+PART_ROWS = 1 << 16  # that a thread takes at a time: what it makes of them stays in its cache
 Z = np.array([0.0, 0.0, 1.0])
 # what a record that is damaged raises
 DAMAGED = (ValueError, KeyError, TypeError, AttributeError, OverflowError)
@@ -144,8 +147,11 @@ def _rotation(angle: float) -> NDArray[np.float64]:
 
 def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64], shares: Sequence[float]
               ) -> NDArray[np.float64]:
-    """Weighted quantiles [K]: the numbers below which `shares` [K] of the weight of `values` lie.
+    """Weighted quantiles [K]: the numbers below which `shares` [K] of the weight of `values` lie; of
+    many values, of evenly spaced ones.
     """
+    some = slice(None, None, max(1, len(values) // MOST_RANKED))
+    values, weights = values[some], weights[some]
     order = np.argsort(values, kind="stable")
     weight = np.cumsum(weights[order])
     return np.interp(shares, (weight - weights[order] / 2) / weight[-1], values[order])
@@ -154,6 +160,18 @@ def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64], shares:
 def world_of(scene: Scene, points: ArrayLike) -> NDArray[np.float64]:
     """The original world coordinates [N, 3] of points in the local frame of a scene."""
     return scene.offset + scene.unit * np.asarray(points, np.float64).reshape(-1, 3)
+
+
+def in_parts(function: Callable[..., NDArray[Any]], *rows: NDArray[Any]) -> NDArray[Any]:
+    """What a function of rows [N, ...] returns for each row, [N]; it is called with some of them at
+    a time, in threads: of nine million rows, 16 cores then test which a block trains in a tenth of
+    the time."""
+    firsts = range(0, max(1, len(rows[0])), PART_ROWS)
+    if len(firsts) == 1:
+        return function(*rows)
+    with ThreadPoolExecutor() as threads:
+        return np.concatenate([*threads.map(
+            lambda first: function(*(each[first:first + PART_ROWS] for each in rows)), firsts)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +330,8 @@ class Partition:
 
     def owner(self, points: ArrayLike) -> NDArray[np.integer]:
         """The block [N] that owns each world point [N, 3]; -1 for points that are not finite."""
-        return self.cells.at(self.space.to(points))
+        cells, space = self.cells, self.space
+        return in_parts(lambda some: cells.at(space.to(some)), np.asarray(points))
 
     def record(self) -> dict[str, Any]:
         """The partition as a dict for JSON."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.densify.grow import Growth
-from clsplat.device import Array, ArraySpec, Device, Reading
+from clsplat.device import Array, ArraySpec, Device, Reading, pinned
 from clsplat.errors import OutOfDeviceMemory, TooFewPages
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
 from clsplat.optimise.adam import MOMENTS_OF_REST, CodedAdam, DeviceAdam
@@ -79,7 +79,7 @@ class Model:
     def _make_pages(self, positions: NDArray[np.floating], sh_rest: NDArray[np.floating],
                     moments: dict[str, NDArray[Any]]) -> Pages:
         store = PageStore(positions, {"sh_rest": sh_rest.astype(self.device.real), **moments},
-                          self._folder)
+                          self._folder, lambda words: pinned(self.device, (words,)))
         return Pages(self.device, store, self._free_bytes)
 
     def _free_bytes(self) -> int:
@@ -181,30 +181,19 @@ class Model:
         return self._arrays[name].download()
 
     def add_to(self, name: str, total: Array | NDArray[Any] | None) -> Array | NDArray[Any]:
-        """Add a field to a sum of earlier ones, on the device as it is, or of a paged one on the
-        host in the order of pages; None: the sum begins."""
-        if name == "sh_rest" and self.pages:
-            if isinstance(total, Array):  # it was not paged before
-                total = self.pages.store.in_places(total.download())
-            return self.pages.add_to(name, total)
-        array = self._arrays[name]
+        """Add a field to a sum of earlier ones, on the device, or on the host if harmonics are
+        paged; None: the sum begins."""
+        if isinstance(total, Array) and self.pages:  # harmonics were not paged before
+            total = total.download()
         if total is None:
-            return self.within(array.copied)
-        assert isinstance(total, Array)
-        add_to(self.device, total, array)
-        return total
-
-    def summed(self, name: str, total: Array | NDArray[Any]) -> NDArray[Any]:
-        """A sum of `add_to`, in host memory in the order of rows."""
+            return self.field(name) if self.pages else self.within(self._arrays[name].copied)
         if isinstance(total, Array):
-            return total.download()
-        assert self.pages
-        return self.pages.store.in_rows(total)
-
-    def total(self, name: str, values: NDArray[Any]) -> Array | NDArray[Any]:
-        """The inverse of `summed`."""
-        return (self.pages.store.in_places(values) if name == "sh_rest" and self.pages else
-                self.within(partial(self.device.upload, values)))
+            add_to(self.device, total, self._arrays[name])
+        elif name == "sh_rest" and self.pages:
+            self.pages.add_to(name, total)
+        else:
+            total += self.field(name)
+        return total
 
     def within(self, work: Callable[[], Result]) -> Result:
         """Do work that changes nothing, again and again while the model has memory to give back."""

@@ -24,6 +24,7 @@ from clsplat.gaussians import FIELDS
 from clsplat.loss.image_loss import is_masked
 from clsplat.optimise.adam import learning_rates
 from clsplat.optimise.batch import BatchMean
+from clsplat.optimise.pages import LACKS_PAGE
 from clsplat.options import ScheduledOptions
 from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Gradients
@@ -165,10 +166,12 @@ class Step:
             found |= part.values(of_views) if of_views else {}
         return found
 
-    def _make_room(self, given: _Given) -> None:
+    def _make_room(self, given: _Given, failed: int = 1) -> None:
+        self._model.forget_asked()
+        if failed == LACKS_PAGE:  # and no room
+            return
         self._graphs.clear()  # whose memory frames with more room could not use
         self.device.trim()
-        self._model.forget_asked()
         camera = self.pass_of(given.sample, given.parts).camera
         _, height, width = given.sample.photo.shape
         self._capacity.grow(self._model.rows, camera, width, height)

@@ -25,7 +25,8 @@ class Unit(NamedTuple):
     """The work of one frame."""
 
     work: Callable[[], None]  # enqueues it; COUNT_DONE counts the units that are done
-    make_room: Callable[[], None]  # is called once the unit has failed, when all before are done
+    # called with COUNT_FAILED once the unit has failed, when all before are done
+    make_room: Callable[[int], None]
 
 
 class Units:
@@ -62,11 +63,12 @@ class Units:
         read: NDArray[np.uint32] = self.counts.download()
         while not self._drop_done(read):
             assert self._pending, "a frame failed that is of no unit"
+            failed = int(read[constants.COUNT_FAILED])
             read[[constants.COUNT_FAILED, constants.COUNT_NEEDED_VISIBLE,
                   constants.COUNT_NEEDED_PAIRS]] = 0
             self.counts.write(read)
             self.poll_soon()
-            self._pending[0].make_room()
+            self._pending[0].make_room(failed)
             for unit in self._pending:
                 unit.work()
             read = self.counts.download()

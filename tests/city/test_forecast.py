@@ -22,13 +22,21 @@ def test_the_expected_number_is_the_limit_of_the_schedule(city):
 
     def expected(**options):
         chosen = resolve({}, {"test_every": 0, **options})
-        return run.expected_gaussians(run.facts_of_whole(city, chosen)[0], chosen)
+        return run.expected_gaussians(facts(chosen), chosen)
+
+    def facts(chosen):
+        return run.facts_of_whole(city, chosen)[0]
 
     assert expected(schedule="mcmc", max_gaussians=points + 7) == points + 7
     assert expected(schedule="mcmc", max_gaussians=7) == points, "it begins with so many"
     assert expected(schedule="constant") == pixels // run.PIXELS_PER_GAUSSIAN
-    assert expected(pixels_per_gaussian=20.0) == pixels // 20
-    assert expected(pixels_per_gaussian=20.0, downscale=2.0) == pytest.approx(pixels / 80, rel=0.01)
+    assert expected(pixels_per_gaussian=90.0) == pixels // 90
+    assert expected(pixels_per_gaussian=90.0, downscale=2.0) == pytest.approx(
+        max(points, pixels / 360), rel=0.01)
+    shown_in = facts(resolve({}, {"test_every": 0})).shown_in
+    assert 3 < shown_in < 9
+    assert expected(pixels_per_gaussian=20.0) == int(
+        pixels / shown_in / run.PIXELS_OF_A_PLACE) < pixels // 20
 
 
 def test_blocks_that_share_a_device_fit_it_together(city, tmp_path):

@@ -8,7 +8,6 @@ from clsplat.constants import CATCH_UP_EVERY, PAGE_ROWS
 from clsplat.densify.grow import Growth
 from clsplat.errors import OutOfDeviceMemory, TooFewPages
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.optimise.pages import TURNS
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule.plan import Plan
@@ -39,11 +38,11 @@ class Run:
         with monkeypatch.context() as patch:
             if room:
                 patch.setattr(Model, "_free_bytes", lambda model: (
-                    (room + TURNS) * model.pages.store.page_bytes if model.pages else 0))
+                    room * model.pages.store.page_bytes if model.pages else 0))
             self.model = Model(device, row_of_gaussians(count), engine)
         if room:  # in later rounds, too
             pages = self.model.pages
-            pages._free = lambda: (room + TURNS) * pages.store.page_bytes
+            pages._free = lambda: room * pages.store.page_bytes
         self.renderer = Renderer(device, DEGREE, 0.1)
         self.step = Step(self.renderer, self.model, 1.0, 1e-3,
                          TrainOptions(iterations=300, batch=batch), [ImageTerm()])
@@ -129,8 +128,8 @@ def test_a_page_that_nobody_asked_for_is_fetched_after_all(float_device, monkeyp
     look_ahead, room_made, repeated = paged.model.look_ahead, paged.step._make_room, []
     monkeypatch.setattr(paged.model, "look_ahead", lambda number, upcoming: look_ahead(
         number, (lambda _: (0, paged.cameras[0])) if number % 4 == 0 else upcoming))
-    monkeypatch.setattr(paged.step, "_make_room", lambda given: (
-        repeated.append(given.sample.number), room_made(given)))
+    monkeypatch.setattr(paged.step, "_make_room", lambda given, failed=1: (
+        repeated.append(given.sample.number), room_made(given, failed)))
     for run in (whole, paged):
         run.take(40)
     check_same(whole.arrays(), paged.arrays())

@@ -28,7 +28,7 @@ from clsplat.optimise.adam import DeviceAdam
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.noise import add_noise
 from clsplat.optimise.page_store import PageStore
-from clsplat.optimise.pages import TURNS, Pages
+from clsplat.optimise.pages import Pages
 from clsplat.optimise.pose import RATE, Poses
 from clsplat.primitives import compact as compacting
 from clsplat.primitives import gather as gathering
@@ -223,7 +223,7 @@ def pages(city: CityFrame) -> Cases:
     count = 100 * PAGE_ROWS
     rng, fifths = np.random.default_rng(0), np.arange(100) // 20 % 5
     store = PageStore(rng.random((count, 3)), {"sh_rest": np.zeros((count, 45), np.float32)})
-    paged = Pages(city.device, store, lambda: (20 + TURNS) * store.page_bytes)
+    paged = Pages(city.device, store, lambda: 20 * store.page_bytes)
     flags = city.device.upload(np.arange(count, dtype=np.uint32) % 7 == 0, np.uint32)
     turns = itertools.cycle(range(5))
 

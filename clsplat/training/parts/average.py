@@ -8,6 +8,7 @@ learning rates the mean of the last steps fits photos better that nobody trained
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,7 +59,7 @@ class Average(Part):
         trained = (np.ones(model.count, bool) if model.frozen is None
                    else model.frozen.download() == 0)
         for name, total in self._sums.items():
-            values = model.summed(name, total) / self._samples
+            values = on_host(total) / self._samples
             values[~trained] = model.field(name)[~trained]
             model.write(name, values)
         self._sums, self._samples = {}, 0  # if the run is resumed, the mean stays
@@ -75,12 +76,18 @@ class Average(Part):
     def state(self) -> State:
         if not (self._sums and self._model):
             return {}
-        return {**{name: self._model.summed(name, total) for name, total in self._sums.items()},
+        return {**{name: on_host(total) for name, total in self._sums.items()},
                 "samples": np.array(self._samples)}
 
     def load(self, state: State, session: Session) -> None:
         model = self._model = session.model
         if state:
             self._samples, self._layout = int(state["samples"]), model.layout
-        self._sums = {name: model.total(name, values) for name, values in state.items()
-                      if name != "samples"}
+        self._sums = {name: values if model.pages else
+                      model.within(partial(model.device.upload, values))
+                      for name, values in state.items() if name != "samples"}
+
+
+def on_host(total: Array | NDArray[Any]) -> NDArray[Any]:
+    """A sum, wherever it is."""
+    return total.download() if isinstance(total, Array) else total
