@@ -122,6 +122,39 @@ def test_sums_are_those_of_plain_arrays(float_device):
     assert np.array_equal(total, 2 * values["sh_rest"])
 
 
+def test_pages_that_are_not_there_take_turns_in_a_few_slots(float_device):
+    pages, _, values = pages_of(float_device, 3)
+    pages.fetch(wanting(0, 1, 2))
+    groups = [group.tolist() for group in pages.rounds(PAGE_ROWS)]
+    assert sorted(sum(groups, [])) == list(range(6)) and sum(groups[:3], []) == [0, 1, 2]
+    there = np.flatnonzero(pages.slots.download() < ABSENT)
+    assert len({0, 1, 2} & set(there.tolist())) == 2
+
+
+def test_slots_are_made_anew_where_there_is_memory_for_many_more(float_device):
+    pages, _, values = pages_of(float_device, 3)
+    pages.fetch(wanting(0, 1))
+    pages.note_change()
+    pages._free = lambda: 0
+    assert not pages.leave_for_more() and pages.room == 3
+    pages._free = lambda: (5 - pages.room) * pages.store.page_bytes
+    assert pages.leave_for_more() and not pages.room
+    pages.fetch(wanting(0, 1))
+    assert pages.room == 5 and not pages.leave_for_more()
+    assert all(np.array_equal(pages.download(name), values[name]) for name in values)
+
+
+def test_pages_that_are_neighbours_travel_together(float_device, monkeypatch):
+    pages, _, values = pages_of(float_device, 6)
+    reads, read = [], pages._transfers.read
+    monkeypatch.setattr(pages._transfers, "read", lambda array, first, host: (
+        reads.append((first, len(host))), read(array, first, host)))
+    pages.fetch(wanting(1, 2, 3, 5))
+    pages.note_change()
+    assert all(np.array_equal(pages.download(name), values[name]) for name in values)
+    assert sorted(reads) == 3 * [(0, 3)] + 3 * [(3, 1)]
+
+
 @pytest.mark.parametrize("share", [0, 1e-3, 0.5, 1])
 def test_pages_of_flagged_rows_are_wanted(float_device, share):
     pages, _, _ = pages_of(float_device, 2)
@@ -175,3 +208,7 @@ def test_rows_are_flagged_that_are_seen_once_they_have_caught_up(float_device, m
     assert flags[culled].all() and culled.sum() > 50
     assert (flags & ~culled).sum() < (1.5 if margin else 0.5) * culled.sum()  # of 60 x 40 pixels
     assert (flags >= (run.engine.seen(run.rows, camera, run.steps, 0.0).download() > 0)).all()
+    grown = run.current()
+    grown["log_scales"].write(grown["log_scales"].download() + np.log(1 + margin / 100) - 1e-4)
+    larger = cull(float_device, grown, camera, DEFINES)[0].download() > 0
+    assert flags[larger].all(), "large ones grow by more pixels than the margin has"

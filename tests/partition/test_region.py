@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clsplat.partition.region import DAMAGED, Region, Space
+from clsplat.partition.region import DAMAGED, Region, Space, in_parts, quantiles
 
 RNG = np.random.default_rng(7)
 UTM = np.array([5.4e6, 4.2e5, 300.0])
@@ -136,3 +136,19 @@ def test_a_damaged_record_is_refused(change):
         Region.from_record(record)
     with pytest.raises(DAMAGED):
         Region.from_record({key: value for key, value in record.items() if key not in change})
+
+
+def test_rows_are_taken_in_parts_in_their_order(monkeypatch):
+    monkeypatch.setattr("clsplat.partition.region.PART_ROWS", 7)
+    first, second = np.random.default_rng(0).normal(size=(2, 40, 3))
+    for count in (0, 6, 7, 8, 40):
+        found = in_parts(lambda a, b: a[:, 0] < b[:, 1], first[:count], second[:count])
+        assert np.array_equal(found, first[:count, 0] < second[:count, 1]), count
+
+
+def test_quantiles_of_many_values_are_those_of_evenly_spaced_ones(monkeypatch):
+    values, weights = np.random.default_rng(0).random((2, 5000))
+    whole = quantiles(values, weights, (0.01, 0.5, 0.99))
+    monkeypatch.setattr("clsplat.partition.region.MOST_RANKED", 1000)
+    assert quantiles(values, weights, (0.01, 0.5, 0.99)) == pytest.approx(whole, abs=0.02)
+    assert quantiles(values, weights, (0.5,)) == quantiles(values[::5], weights[::5], (0.5,))
