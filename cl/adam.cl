@@ -119,18 +119,18 @@ inline vmask may_be_seen(__global const real *camera, real margin, vreal x, vrea
     const real ratio_y = fmax(fabs(ratios[1]), fabs(ratios[3]));
     const vreal scale = exp(log_scale + (real)MAX_MOMENTUM_RATIO * scale_sum);
     const vreal reach_x = closeness_x * scale, reach_y = closeness_y * scale;
-    const real more = 1 + margin / 100; // large ones grow by more pixels
     const vreal extent_x =
-        more * sqrt((real)MOST_CUTOFF * (reach_x * reach_x * (1 + ratio_x * ratio_x) + low_pass)) +
+        sqrt((real)MOST_CUTOFF * (reach_x * reach_x * (1 + ratio_x * ratio_x) + low_pass)) +
         closeness_x * max_drift * (1 + fabs(place_x)) + margin;
     const vreal extent_y =
-        more * sqrt((real)MOST_CUTOFF * (reach_y * reach_y * (1 + ratio_y * ratio_y) + low_pass)) +
+        sqrt((real)MOST_CUTOFF * (reach_y * reach_y * (1 + ratio_y * ratio_y) + low_pass)) +
         closeness_y * max_drift * (1 + fabs(place_y)) + margin;
     const vreal mean_x = focal[0] * place_x + centre[0], mean_y = focal[1] * place_y + centre[1];
     const vmask inside = TO_MASK(mean_x + extent_x > 0) & TO_MASK(mean_y + extent_y > 0) &
                          TO_MASK(mean_x - extent_x < size[0]) &
                          TO_MASK(mean_y - extent_y < size[1]);
-    return TO_MASK(z + max_drift > near / more) & (TO_MASK(nearest <= near * more) | inside);
+    return TO_MASK(z + max_drift > near / (1 + margin / 100)) &
+           (TO_MASK(nearest <= near * (1 + margin / 100)) | inside);
 }
 
 // The sum C of a field by which a row that is not frozen may have drifted.
@@ -185,9 +185,11 @@ inline LazyState lazy_state(uint last, uint now, bool keeps, __global const real
     __global const uint *restrict counts, __global const real *restrict camera,                    \
     __global const uint *restrict frozen, __global const real *restrict coefficients,              \
     PARAMETERS_AND_MOMENTS, __global uint *restrict last_step REST_ARGUMENTS
-// flags: uint[N], 1 for rows that the image may show, and pixels `margin` beside it.
+// flags: uint[N], 1 for rows that the image may show, and pixels `margin` beside it, once it has
+// drifted by more sums C: position_ahead, scale_ahead.
 #define ADAM_SEEN_ARGUMENTS                                                                        \
-    uint count, uint now, real margin, __global const real *restrict camera,                       \
+    uint count, uint now, real margin, real position_ahead, real scale_ahead,                      \
+    __global const real *restrict camera,                                                          \
     __global const real *restrict coefficients, __global const real *restrict positions,           \
     __global const real *restrict log_scales, __global const uint *restrict last_step,             \
     __global uint *restrict flags

@@ -281,9 +281,9 @@ __kernel void adam_seen(ADAM_SEEN_ARGUMENTS)
         const uint last = last_step[row];
         const real3 p = to_camera(camera, vload3(row, positions));
         const real3 scales = vload3(row, log_scales);
-        flags[row] = may_be_seen(camera, margin, p.x, p.y, p.z,
-                                 max(scales.x, max(scales.y, scales.z)),
-                                 drift_sum(last, now, LAZY_POSITIONS, coefficients),
-                                 drift_sum(last, now, LAZY_SCALES, coefficients)) != 0;
+        flags[row] =
+            may_be_seen(camera, margin, p.x, p.y, p.z, max(scales.x, max(scales.y, scales.z)),
+                        drift_sum(last, now, LAZY_POSITIONS, coefficients) + position_ahead,
+                        drift_sum(last, now, LAZY_SCALES, coefficients) + scale_ahead) != 0;
     }
 }

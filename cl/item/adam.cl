@@ -201,9 +201,9 @@ __kernel void adam_seen(ADAM_SEEN_ARGUMENTS)
         }
         real16 x, y, z;
         load_in_camera(camera, positions + 3ul * first, number, &x, &y, &z);
-        const mask16 seen =
-            may_be_seen(camera, margin, x, y, z, load_largest(log_scales + 3ul * first, number),
-                        vload16(0, position_sums), vload16(0, scale_sums));
+        const mask16 seen = may_be_seen(
+            camera, margin, x, y, z, load_largest(log_scales + 3ul * first, number),
+            vload16(0, position_sums) + position_ahead, vload16(0, scale_sums) + scale_ahead);
         int flagged[16];
         STORE_MASK(seen, flagged);
         for (uint i = 0; i < number; i++)

@@ -75,8 +75,8 @@ CATCH_UP = Kernel(
     now="uint", keeps="uint", has_frozen="uint", by_camera="uint", **_COUNTS, camera=("real", "C"),
     frozen=("uint", "F"), **_COEFFICIENTS, **_ROWS, **_PAGED)
 SEEN = Kernel("adam.cl", "adam_seen", Forms(each("count/16"), each("count")), count="uint",
-              now="uint", margin="real", camera=("real", "C"), **_COEFFICIENTS,
-              positions=("real", "N", 3), log_scales=("real", "N", 3), last_step=("uint", "N"),
+              now="uint", margin="real", position_ahead="real", scale_ahead="real",
+              camera=("real", "C"), **_COEFFICIENTS, positions=("real", "N", 3), log_scales=("real", "N", 3), last_step=("uint", "N"),
               flags=("uint", "N"))
 CLEAR = Kernel("adam.cl", "adam_clear", each("count"), count="uint", begin="uint", end="uint",
                **_SMALL_MOMENTS)
@@ -213,16 +213,17 @@ class DeviceAdam:
             self.is_current = True
 
     def seen(self, rows: Mapping[str, Array], camera: Array, now: float, margin: float,
-             flags: Array | None = None) -> Array:
-        """Flag the rows that a view may see once they have caught up, uint[N]; None: a new array.
+             ahead: tuple[float, float] = (0.0, 0.0)) -> Array:
+        """Flag the rows that a view may see once they have caught up, uint[N].
 
         `camera` is real[27], packed; `now` is the number of the last step, `margin` are pixels
-        beside the image.
+        beside the image; `ahead` the sums of rates, of positions and of scales, of later steps
+        after which they may see it.
         """
-        if flags is None:
-            flags = self.device.empty(len(rows["positions"]), np.uint32)
+        flags = self.device.empty(len(rows["positions"]), np.uint32)
         self.device.launch(
-            SEEN, self._defines({}, 0), count=len(flags), now=now, margin=margin, camera=camera,
+            SEEN, self._defines({}, 0), count=len(flags), now=now, margin=margin,
+            position_ahead=ahead[0], scale_ahead=ahead[1], camera=camera,
             coefficients=self._others["coefficients"], positions=rows["positions"],
             log_scales=rows["log_scales"], last_step=self._others["last_step"], flags=flags)
         return flags

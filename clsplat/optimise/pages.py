@@ -83,7 +83,8 @@ class Pages:
 
     def add_to(self, name: str, total: NDArray[Any]) -> None:
         """As `PageStore.add_to`."""
-        self.settle()
+        self._take_out(np.flatnonzero(self._changed), name)
+        self._transfers.finish()
         self.store.add_to(name, total)
 
     def write(self, name: str, values: NDArray[Any], first: int = 0) -> None:
@@ -242,14 +243,15 @@ class Pages:
         self.leave()
         return True
 
-    def _take_out(self, slots: NDArray[np.int64]) -> None:
-        """Begin to copy the pages of slots to the host, once all kernels so far have ended; what
-        comes to these slots later does so after that."""
+    def _take_out(self, slots: NDArray[np.int64], only: str = "") -> None:
+        """Begin to copy the pages of slots to the host, or `only` one of the arrays, once all
+        kernels so far have ended; what comes to these slots later does so after that."""
         self._transfers.follow_kernels()
-        for name, first, page, count in self._runs(slots, self._page[slots]):
+        for name, first, page, count in self._runs(slots, self._page[slots], only):
             self._transfers.read(self._slots_of[name], first,
                                  self.store.memory(name, page, count))
-        self._changed[slots] = False
+        if not only:
+            self._changed[slots] = False
 
     def _bring(self, slots: NDArray[np.int64], pages: NDArray[np.int64]) -> None:
         """Begin to copy pages to slots; kernels that follow wait for the end of it."""
@@ -258,13 +260,13 @@ class Pages:
                                   self.store.memory(name, page, count))
         self._transfers.lead_kernels()
 
-    def _runs(self, slots: NDArray[np.int64], pages: NDArray[np.int64]
+    def _runs(self, slots: NDArray[np.int64], pages: NDArray[np.int64], only: str = ""
               ) -> Iterator[tuple[str, int, int, int]]:
         """(Name of an array, first slot, first page, their number) of all that travel together, as
-        they are neighbours on both sides."""
+        they are neighbours on both sides; `only` of one array."""
         order = np.argsort(slots)
         slots, pages = slots[order], pages[order]
-        for name in self.store.words if len(slots) else ():
+        for name in ([only] if only else self.store.words) if len(slots) else ():
             ends = (np.diff(slots) != 1) | (np.diff(pages) != 1) | (
                 np.diff(self.store.together(name, pages)) != 0)
             firsts = np.concatenate([[0], np.flatnonzero(ends) + 1, [len(slots)]])

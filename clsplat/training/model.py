@@ -35,7 +35,7 @@ GIVEN_SHARE = 0.04  # of the device's memory that pages give back at a time
 CHUNK_ROWS = 1 << 18  # that are copied to the host together
 FORESEEN = 64  # samples, of which it is known which pages they want
 FORESEEN_AT_ONCE = 4  # new ones of them in a step
-MARGIN, MARGIN_AHEAD = 1.0, 8.0  # pixels beside an image of which pages are wanted: now, and soon
+MARGIN = 1.0  # pixels beside an image of which pages are wanted, too
 Adam = DeviceAdam | NumpyAdam
 Result = TypeVar("Result")
 Upcoming = Callable[[int], tuple[int, Array]]  # number of a sample -> its view and packed camera
@@ -299,17 +299,19 @@ class Model:
         self._spare = SPARE_SHARE
         return self.pages is not None and self.pages.leave_for_more()
 
-    def look_ahead(self, number: int, upcoming: Upcoming) -> None:
-        """Ask which pages a later sample will want."""
+    def look_ahead(self, number: int, steps: int, upcoming: Upcoming,
+                   numbers: Mapping[str, float]) -> None:
+        """Ask which pages a sample will want so many steps later; `numbers` are those of Adam."""
         if not (self.pages and self.pages.room and isinstance(self.adam, DeviceAdam)):
             return
-        self._asked[number] = Reading(self._wanted(upcoming(number)[1], MARGIN_AHEAD))
+        ahead = steps * numbers["rate_positions"], steps * numbers["rate_log_scales"]
+        self._asked[number] = Reading(self._wanted(upcoming(number)[1], ahead))
         asked = {view for _, view, _ in self._foreseen}
         unknown = {view: camera for view, camera in map(
             upcoming, range(number + 1, number + FORESEEN))
             if view not in self._wants and view not in asked}
         for view, camera in [*unknown.items()][:FORESEEN_AT_ONCE]:
-            self._foreseen.append((number, view, Reading(self._wanted(camera, MARGIN_AHEAD))))
+            self._foreseen.append((number, view, Reading(self._wanted(camera, ahead))))
 
     def fetch(self, numbers: Sequence[int], degree: int, upcoming: Upcoming) -> None:
         """Bring the pages that the samples of a step want."""
@@ -338,7 +340,7 @@ class Model:
             view, camera = upcoming(number)
             asked = self._asked.get(number)
             found.append((asked.values() if asked else
-                          self._wanted(camera, MARGIN).download()) > 0)
+                          self._wanted(camera).download()) > 0)
             self._wants[view] = np.packbits(found[-1])
         every: NDArray[np.bool_] = np.logical_or.reduce(found)
         return every
@@ -354,10 +356,11 @@ class Model:
                 found[np.unpackbits(wants, count=len(found)).view(bool)] = later
         return found
 
-    def _wanted(self, camera: Array, margin: float) -> Array:
-        """uint[pages], 1 for those of which a camera may see a row."""
+    def _wanted(self, camera: Array, ahead: tuple[float, float] = (0.0, 0.0)) -> Array:
+        """uint[pages], 1 for those of which a camera may see a row; `ahead` as for `seen` of Adam.
+        """
         assert self.pages and isinstance(self.adam, DeviceAdam)
-        return self.pages.mark(self.adam.seen(self.rows, camera, self.adam.steps, margin))
+        return self.pages.mark(self.adam.seen(self.rows, camera, self.adam.steps, MARGIN, ahead))
 
     def require_seen(self, camera: Array, numbers: Mapping[str, float], degree: int, counts: Array,
                      ends: bool) -> None:

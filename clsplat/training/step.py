@@ -149,7 +149,7 @@ class Step:
                                              self._model.frozen, self.units.counts)
             self.units.submit(Unit(work, partial(self._make_room, given)))
             if upcoming:
-                self._model.look_ahead(sample.number + AHEAD, upcoming)
+                self._model.look_ahead(sample.number + AHEAD, AHEAD, upcoming, numbers)
         return measured
 
     def now(self, iteration: int, plan: Plan) -> Now:

@@ -198,8 +198,9 @@ def test_a_frame_fails_where_a_page_is_not_there(float_device):
 
 @pytest.mark.parametrize("margin", [0.0, 8.0])
 def test_rows_are_flagged_that_are_seen_once_they_have_caught_up(float_device, margin):
-    """All that `cull` will see, and not many more; fresh rows and stale ones."""
-    run = Lazy(float_device, count=900)
+    """All that `cull` will see, and not many more; fresh rows and stale ones, and some steps later.
+    """
+    run, rng = Lazy(float_device, count=900), np.random.default_rng(5)
     for _ in range(CATCH_UP_EVERY // 4):
         run.step()
     camera = run.camera()
@@ -208,7 +209,13 @@ def test_rows_are_flagged_that_are_seen_once_they_have_caught_up(float_device, m
     assert flags[culled].all() and culled.sum() > 50
     assert (flags & ~culled).sum() < (1.5 if margin else 0.5) * culled.sum()  # of 60 x 40 pixels
     assert (flags >= (run.engine.seen(run.rows, camera, run.steps, 0.0).download() > 0)).all()
-    grown = run.current()
-    grown["log_scales"].write(grown["log_scales"].download() + np.log(1 + margin / 100) - 1e-4)
-    larger = cull(float_device, grown, camera, DEFINES)[0].download() > 0
-    assert flags[larger].all(), "large ones grow by more pixels than the margin has"
+    # by as many steps of the largest size
+    ahead = 0.02, 0.03
+    flags = run.engine.seen(run.rows, camera, run.steps, margin, ahead).download() > 0
+    moved = run.current()
+    moved["positions"].write(moved["positions"].download() + rng.choice(
+        (-1, 1), (run.count, 3)) * 7.2 * ahead[0])
+    moved["log_scales"].write(moved["log_scales"].download() + 7.2 * ahead[1])
+    larger = cull(float_device, moved, camera, DEFINES)[0].download() > 0
+    assert (larger & ~culled).any()
+    assert flags[larger].all()

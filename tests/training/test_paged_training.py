@@ -126,8 +126,8 @@ def test_a_page_that_nobody_asked_for_is_fetched_after_all(float_device, monkeyp
     """The frame fails and is repeated, with those that follow it."""
     whole, paged = Run(float_device, monkeypatch, 0), Run(float_device, monkeypatch, 3)
     look_ahead, room_made, repeated = paged.model.look_ahead, paged.step._make_room, []
-    monkeypatch.setattr(paged.model, "look_ahead", lambda number, upcoming: look_ahead(
-        number, (lambda _: (0, paged.cameras[0])) if number % 4 == 0 else upcoming))
+    monkeypatch.setattr(paged.model, "look_ahead", lambda number, steps, upcoming, *more: look_ahead(
+        number, steps, (lambda _: (0, paged.cameras[0])) if number % 4 == 0 else upcoming, *more))
     monkeypatch.setattr(paged.step, "_make_room", lambda given, failed=1: (
         repeated.append(given.sample.number), room_made(given, failed)))
     for run in (whole, paged):
