@@ -25,6 +25,7 @@ from clsplat.io.models.values import to_bytes
 from clsplat.io.runs.city import DENSE, EXCHANGES, OTHERS, PARTITION, CityFolder
 from clsplat.io.runs.run import read_exposures
 from clsplat.loss.image_loss import image_loss, loss_value
+from clsplat.options import LEAST_BYTES, bytes_of
 from clsplat.partition.blocks import block_start, filled, find_windows, owned_shares
 from clsplat.partition.make import make_partition
 from clsplat.partition.options import BLOCK_STEPS, PartitionOptions
@@ -100,6 +101,9 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
         given = block_steps(city, steps[number], smallest_size(own.views), facts)
         if not any(view.depth for view in own.views):
             given["depth"] = ""
+        if options.memory_budget:  # of the device, which others use at the same time
+            each = bytes_of(options.memory_budget) // requested.get("sharing", 1)
+            given["memory_budget"] = f"{max(LEAST_BYTES, each) >> 20}MiB"
         folder.write_block(
             number, scene, chosen, region, windows, part.gaussians, exposures,
             options_of_blocks(given, decided),

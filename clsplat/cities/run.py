@@ -24,9 +24,8 @@ from clsplat.estimate.forecast import Forecast
 from clsplat.gaussians import LEARNED
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
-from clsplat.options import SceneOptions, ScheduledOptions, TrainOptions
+from clsplat.options import SceneOptions, ScheduledOptions, TrainOptions, bytes_of
 from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, LEAST_GAUSSIANS, PartitionOptions
-from clsplat.rendering.options import RenderingOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
 from clsplat.schedule.plan import SceneFacts
@@ -172,6 +171,7 @@ def chosen_partition(given: Mapping[str, Any], city: City, workers: int | None =
                       (os.cpu_count() or 1) // CORES_SHARING,
                       int(fit / 2 / (chosen.trained / chosen.blocks)))
         chosen = replace(chosen, workers=devices * max(1, sharing))
+    chosen = replace(chosen, sharing=math.ceil(chosen.workers / devices))
     return chosen.decided(not (recorded or tree) and chosen.blocks > 1 and expected <= fit
                           and trains_jointly(facts, photos, options))
 
@@ -193,11 +193,14 @@ def expected_gaussians(facts: SceneFacts, options: ScheduledOptions) -> int:
     return max(facts.count, expected)
 
 
-def gaussians_that_fit(device: Device, options: RenderingOptions) -> int:
-    """How many gaussians a block may have at the end on a device."""
+def gaussians_that_fit(device: Device, options: ScheduledOptions) -> int:
+    """How many gaussians a block may have at the end on a device, within a memory budget."""
     floats = sum(field.width(options.sh_degree) for field in LEARNED)
     each = 3 * floats * device.real.itemsize
-    return max(1, int(MODEL_SHARE * device.handle.global_mem_size / each))
+    memory = device.handle.global_mem_size
+    if options.memory_budget:
+        memory = min(memory, bytes_of(options.memory_budget))
+    return max(1, int(MODEL_SHARE * memory / each))
 
 
 def scale_table(prepared: PreparedScene, options: ScheduledOptions, forecast: Forecast,

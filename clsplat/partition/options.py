@@ -22,7 +22,7 @@ class PartitionOptions:
     ----------
     expected : gaussians of the whole scene at the end of training; 0 if that is not known.
     least_blocks : the least number of blocks of a chosen grid.
-    workers : how many train blocks at the same time.
+    workers, sharing : how many train blocks at the same time, and on the same device.
     least_gaussians : a block with fewer gaussians is joined to a neighbour, too.
 
     Raises
@@ -68,6 +68,7 @@ class PartitionOptions:
     expected: int = 0
     least_blocks: int = 1
     workers: int = 1
+    sharing: int = 1
     least_gaussians: int = LEAST_GAUSSIANS
 
     def __post_init__(self) -> None:

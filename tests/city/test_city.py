@@ -228,6 +228,13 @@ def test_a_model_that_cannot_be_written_loses_nothing(copy, capsys):
 
 
 @pytest.mark.slow
+def test_workers_on_one_device_share_its_memory_budget(made, tmp_path):
+    shared = city(tmp_path / "city", "--memory-budget", "1GiB", "--workers", "2")
+    assert {block.read()["options"]["memory_budget"] for block in shared.blocks()} == {"512MiB"}
+    assert {block.read()["options"]["memory_budget"] for block in made.blocks()} == {""}
+    assert model(shared) == model(made)
+
+
 def test_two_workers_end_in_the_same(copy):
     def scores():
         return [{key: value for key, value in record.items() if "seconds" not in key}

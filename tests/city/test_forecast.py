@@ -48,6 +48,9 @@ def test_blocks_that_share_a_device_fit_it_together(city, tmp_path):
 
     assert largest() == largest(2, 2) == largest(1, 4) == run.gaussians_that_fit(device, options)
     assert largest(8, 2) == largest() // 4
+    assert run.chosen_partition({}, whole, 8, 2).sharing == 4
+    budget = resolve({}, {"memory_budget": "2GiB"})
+    assert run.gaussians_that_fit(device, budget) == run.gaussians_that_fit(a_card(2**31), options)
     device.handle.global_mem_size = 1
     assert largest(8) == LEAST_GAUSSIANS
 
