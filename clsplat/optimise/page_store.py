@@ -21,6 +21,7 @@ from clsplat.errors import InputError, reason
 HOST_SHARE = 0.5  # of the host's memory that pages may take
 THREADS = min(8, os.cpu_count() or 1)  # that copy pages
 BLOCK_WORDS = 1 << 24  # of memory, in 4 bytes: few devices make one of all pages
+SPAN = 32  # pages that a thread copies at a time
 BITS = 10  # of each coordinate in the order of pages
 
 Words = NDArray[np.uint32]
@@ -78,11 +79,22 @@ class PageStore:
         """The block in which each of the pages of an array lies."""
         return pages // self._together[name]
 
-    def _rows_at(self, name: str, page: int) -> NDArray[Any]:
-        """The rows of an array in a page."""
+    def _on_pages(self, name: str, work: Callable[[NDArray[Any], NDArray[np.uint32]], Any]) -> None:
+        """Call `work` with rows of an array, as they are in some pages, and their numbers, for all
+        pages in threads; waits."""
         shape, dtype = self._kinds[name]
-        rows = self.memory(name, page).reshape(-1).view(dtype).reshape(PAGE_ROWS, *shape)
-        return rows[:self.count - page * PAGE_ROWS]
+        together = self._together[name]
+
+        def of_pages(first: int) -> None:
+            count = min(SPAN, together - first % together, self.pages - first)
+            numbers = self.order[first * PAGE_ROWS:(first + count) * PAGE_ROWS]
+            memory = self.memory(name, first, count).reshape(-1).view(dtype).reshape(-1, *shape)
+            work(memory[:len(numbers)], numbers)
+
+        firsts = [first for block in range(0, self.pages, together)
+                  for first in range(block, min(block + together, self.pages), SPAN)]
+        for _ in self._threads.map(of_pages, firsts):
+            pass
 
     def _arrange(self, positions: NDArray[np.floating]) -> None:
         self.count, self.pages = len(positions), max(1, -(-len(positions) // PAGE_ROWS))
@@ -118,19 +130,10 @@ class PageStore:
 
     def _fill(self, name: str, rows_of: Callable[[NDArray[np.uint32]], NDArray[Any]]) -> None:
         """Put rows of an array in all pages; `rows_of` returns those of these numbers."""
-        def fill(page: int) -> None:
-            self._rows_at(name, page)[:] = rows_of(self._order_of(page))
+        def fill(rows: NDArray[Any], numbers: NDArray[np.uint32]) -> None:
+            rows[:] = rows_of(numbers)
 
-        self._on_pages(fill)
-
-    def _order_of(self, page: int) -> NDArray[np.uint32]:
-        """The rows in a page."""
-        return self.order[page * PAGE_ROWS:(page + 1) * PAGE_ROWS]
-
-    def _on_pages(self, work: Callable[[int], Any]) -> None:
-        """Call `work` with each page, in threads; waits."""
-        for _ in self._threads.map(work, range(self.pages)):
-            pass
+        self._on_pages(name, fill)
 
     def rows_of(self, pages: NDArray[np.int64]) -> NDArray[np.uint32]:
         """The rows in some pages."""
@@ -143,27 +146,26 @@ class PageStore:
         shape, dtype = self._kinds[name]
         found = np.empty((self.count, *shape), dtype)
 
-        def read(page: int) -> None:
-            found[self._order_of(page)] = self._rows_at(name, page)
+        def read(rows: NDArray[Any], numbers: NDArray[np.uint32]) -> None:
+            found[numbers] = rows
 
-        self._on_pages(read)
+        self._on_pages(name, read)
         return found
 
     def write(self, name: str, values: NDArray[Any], first: int = 0) -> None:
         """Overwrite rows of an array from row `first` on."""
-        places = self.place[first:first + len(values)]
-        order = np.argsort(places, kind="stable")
-        ends = np.searchsorted(places[order], np.arange(self.pages + 1) * PAGE_ROWS)
-        for page in np.flatnonzero(np.diff(ends)).tolist():
-            rows = order[ends[page]:ends[page + 1]]
-            self._rows_at(name, page)[places[rows] - page * PAGE_ROWS] = values[rows]
+        def write(rows: NDArray[Any], numbers: NDArray[np.uint32]) -> None:
+            some = np.flatnonzero((numbers >= first) & (numbers < first + len(values)))
+            rows[some] = values[numbers[some] - first]
+
+        self._on_pages(name, write)
 
     def add_to(self, name: str, total: NDArray[Any]) -> None:
         """Add an array to a sum of earlier ones."""
-        def add(page: int) -> None:
-            total[self._order_of(page)] += self._rows_at(name, page)
+        def add(rows: NDArray[Any], numbers: NDArray[np.uint32]) -> None:
+            total[numbers] += rows
 
-        self._on_pages(add)
+        self._on_pages(name, add)
 
     def regrow(self, source: NDArray[np.uint32], kept: int, positions: NDArray[np.floating],
                inherited: str) -> None:
@@ -184,12 +186,13 @@ class PageStore:
         """Rows of an array, from the old blocks and the places that each had there; those from
         `kept` on are 0."""
         shape, dtype = self._kinds[name]
-        block, place = np.divmod(places[rows], PAGE_ROWS * self._together[name])
-        found, takes = np.zeros((len(rows), *shape), dtype), rows < kept
         words = self._together[name] * self.words[name]
-        for each in np.unique(block[takes]).tolist():
-            some = takes & (block == each)
-            found[some] = old[each][:words].view(dtype).reshape(-1, *shape)[place[some]]
+        block, place = np.divmod(places[rows], PAGE_ROWS * self._together[name])
+        found = np.empty((len(rows), *shape), dtype)
+        for each in range(int(block.min()), int(block.max()) + 1):  # nearly always one or two
+            some = np.flatnonzero(block == each)
+            found[some] = np.take(old[each][:words].view(dtype).reshape(-1, *shape), place[some], 0)
+        found[rows >= kept] = 0
         return found
 
 
@@ -209,16 +212,15 @@ def spatial_order(positions: NDArray[np.floating]) -> NDArray[np.uint32]:
     low, high = np.quantile(finite[::max(1, len(finite) // 10_000)], (0.01, 0.99), axis=0)
     scale = (1 << BITS) / max(float((high - low).max()), 1e-30)  # cells are cubes
     cells = np.clip((finite - low) * scale, 0, (1 << BITS) - 1).astype(np.uint32)
-    keys = np.zeros(len(cells), np.uint32)
+    keys = np.zeros(len(cells), np.uint64)
     for axis in range(3):
-        keys |= _spread(cells[:, axis]) << np.uint32(axis)
-    order = np.argsort(keys.astype(np.uint16), kind="stable")  # by 16 bits, numpy sorts by digits
-    upper = (keys >> np.uint32(16)).astype(np.uint16)[order]
-    return order[np.argsort(upper, kind="stable")].astype(np.uint32)
+        keys |= _spread(cells[:, axis]) << np.uint64(axis)
+    # numpy sorts numbers much faster than it finds their order
+    return np.sort(keys << np.uint64(32) | np.arange(len(keys), dtype=np.uint64)).astype(np.uint32)
 
 
-def _spread(values: NDArray[np.uint32]) -> NDArray[np.uint32]:
+def _spread(values: NDArray[np.uint32]) -> NDArray[np.uint64]:
     """The lower 10 bits of numbers, two zeros between any two."""
     for shift, mask in ((16, 0x030000ff), (8, 0x0300f00f), (4, 0x030c30c3), (2, 0x09249249)):
         values = (values | values << np.uint32(shift)) & np.uint32(mask)
-    return values
+    return values.astype(np.uint64)
