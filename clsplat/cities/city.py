@@ -25,7 +25,6 @@ from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.scene import Scene, View
 from clsplat.schedule.plan import SceneFacts
-from clsplat.schedule.registry import schedule_of
 from clsplat.schedule.steps import worthwhile_steps
 from clsplat.training.loop import train_or_resume
 from clsplat.training.photos import THREADS
@@ -158,14 +157,13 @@ def coarse_options(city: City, joint: bool = False) -> TrainOptions:
     `joint` : whether the city will be trained jointly.
     """
     options, scene = city.options, city.pinhole
-    one_run, facts = city.one_run(scene, scene.split(options.test_every, options.test_offset)[0])
+    one_run, _ = city.one_run(scene, scene.split(options.test_every, options.test_offset)[0])
     share = COARSE_SHARE_BEFORE_JOINT if joint else COARSE_SHARE
     return dataclasses.replace(
         options, coarse=True, init=AUTO,
         downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
-        iterations=max(1, int(share * one_run)), eval_every=0,
-        **schedule_of(options.schedule).options_of_coarse(options, facts))
+        iterations=max(1, int(share * one_run)), eval_every=0)
 
 
 def _options_before(run: Run) -> TrainOptions:

@@ -177,10 +177,13 @@ class Transfers:
 
 
 def pinned(device: Device, shape: tuple[int, ...]) -> NDArray[np.uint32]:
-    """uint32 in host memory that a device reads and writes at full speed, as it is never paged out.
-    """
+    """uint32 in host memory that a device reads and writes at full speed, as it is never paged out;
+    in any, where there is too little of that."""
     flags: Any = cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR
-    buffer = cl.Buffer(device.context, flags, max(1, 4 * math.prod(shape)))
+    try:
+        buffer = cl.Buffer(device.context, flags, max(1, 4 * math.prod(shape)))
+    except (cl.MemoryError, cl.RuntimeError):
+        return np.zeros(shape, np.uint32)
     mode: Any = cl.map_flags.READ | cl.map_flags.WRITE
     dtype: Any = np.uint32
     host: Any = cl.enqueue_map_buffer(device.queue, buffer, mode, 0, shape, dtype)[0]

@@ -76,8 +76,8 @@ CATCH_UP = Kernel(
     frozen=("uint", "F"), **_COEFFICIENTS, **_ROWS, **_PAGED)
 SEEN = Kernel("adam.cl", "adam_seen", Forms(each("count/16"), each("count")), count="uint",
               now="uint", margin="real", position_ahead="real", scale_ahead="real",
-              camera=("real", "C"), **_COEFFICIENTS, positions=("real", "N", 3), log_scales=("real", "N", 3), last_step=("uint", "N"),
-              flags=("uint", "N"))
+              camera=("real", "C"), **_COEFFICIENTS, positions=("real", "N", 3),
+              log_scales=("real", "N", 3), last_step=("uint", "N"), flags=("uint", "N"))
 CLEAR = Kernel("adam.cl", "adam_clear", each("count"), count="uint", begin="uint", end="uint",
                **_SMALL_MOMENTS)
 

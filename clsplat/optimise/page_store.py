@@ -35,7 +35,7 @@ class PageStore:
     positions : float[N, 3], by which rows are put in pages.
     values : name of an array -> [N, *row shape], whose values are copied.
     folder : of the file of what host memory cannot hold; None: that of temporary files.
-    allocate : makes host memory of a number of 4 bytes, such as a device reads at full speed.
+    allocate : makes host memory of so many numbers, as a device reads at full speed; None: any.
 
     Attributes
     ----------
@@ -47,8 +47,8 @@ class PageStore:
 
     def __init__(self, positions: NDArray[np.floating], values: Mapping[str, NDArray[Any]],
                  folder: Path | None = None,
-                 allocate: Callable[[int], Any] = partial(np.empty, dtype=np.uint32)) -> None:
-        self._folder, self._allocate = folder, allocate
+                 allocate: Callable[[int], Words] | None = None) -> None:
+        self._folder, self._allocate = folder, allocate or _words
         self._threads, self._spare = ThreadPoolExecutor(THREADS), list[Words]()
         self._kinds = {name: (rows.shape[1:], rows.dtype) for name, rows in values.items()}
         self.words = {name: PAGE_ROWS * math.prod(shape) * dtype.itemsize // 4
@@ -194,6 +194,10 @@ class PageStore:
             found[some] = np.take(old[each][:words].view(dtype).reshape(-1, *shape), place[some], 0)
         found[rows >= kept] = 0
         return found
+
+
+def _words(number: int) -> Words:
+    return np.empty(number, np.uint32)
 
 
 def host_memory() -> float:

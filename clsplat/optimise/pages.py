@@ -111,7 +111,7 @@ class Pages:
         self.arrays: dict[str, Array] = {}
         self._slots_of: dict[str, Array] = {}  # the same as uint[slots, words]
         rows = max(1, room) * PAGE_ROWS
-        for name, words in self.store.words.items():
+        for name in self.store.words:
             shape, dtype = self.store.kind(name)
             array = self.arrays[name] = self.device.zeros((rows, *shape), dtype)
             width = math.prod(shape) * PAGE_ROWS
@@ -122,6 +122,7 @@ class Pages:
         self._used = np.zeros(room, np.int64)  # when each slot was wanted last
         self._now = 0
         self.slots.fill(ABSENT)
+        self._transfers.follow_kernels()  # which fill the arrays
         if room:
             self._tables = [_Table(pinned(self.device, (self.pages,))) for _ in range(TABLES)]
 

@@ -147,9 +147,8 @@ def _rotation(angle: float) -> NDArray[np.float64]:
 
 def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64], shares: Sequence[float]
               ) -> NDArray[np.float64]:
-    """Weighted quantiles [K]: the numbers below which `shares` [K] of the weight of `values` lie; of
-    many values, of evenly spaced ones.
-    """
+    """Weighted quantiles [K]: the numbers below which `shares` [K] of the weight of `values` lie,
+    or where they are many, of every k-th of them."""
     some = slice(None, None, max(1, len(values) // MOST_RANKED))
     values, weights = values[some], weights[some]
     order = np.argsort(values, kind="stable")

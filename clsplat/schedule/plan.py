@@ -179,12 +179,6 @@ class Schedule:
         (width, height) of the block's smallest training image, pixels."""
         return {}
 
-    @classmethod
-    def options_of_coarse(cls, options: ScheduledOptions, facts: SceneFacts) -> dict[str, Any]:
-        """{option: value} that differ from `options` in the coarse run of a city; `facts` are about
-        the whole."""
-        return {}
-
     def plan(self, iteration: int) -> Plan:
         """Decide one step; called before each step, in order."""
         raise NotImplementedError

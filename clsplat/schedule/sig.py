@@ -49,7 +49,6 @@ GROWS_SHARE = 0.7  # of a level's time; in the rest the new gaussians are traine
 DENSE_GROWS_SHARE = 0.3  # from dense points, of which most places have one already
 LEAST_SHOWN = 0.3  # of the pixels that a gaussian needs: what fewer show goes when growth ends
 STAYING = 0.55  # share of the gaussians that then stay: 0.42 to 0.73 on seven sets
-COARSE_PIXELS = 4  # times as many for a gaussian of a city's coarse run as for one of its blocks
 MOST_GROWTH = 5  # a round adds at most one gaussian for each so many (as in DashGaussian)
 REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
 
@@ -125,11 +124,6 @@ class Sig(Schedule):
             return each
         levels = chosen_levels(options, size, BLOCK_LEVELS, TILE)
         return {"levels": levels, **each}
-
-    @classmethod
-    def options_of_coarse(cls, options: "ScheduledOptions", facts: SceneFacts) -> dict[str, Any]:
-        """See `Schedule.options_of_coarse`: blocks begin at dense points in its gaps, too."""
-        return {"pixels_per_gaussian": COARSE_PIXELS * pixels_per_gaussian(options, facts)}
 
     def __init__(self, options: "ScheduledOptions", facts: SceneFacts) -> None:
         super().__init__(options, facts)

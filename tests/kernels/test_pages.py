@@ -47,8 +47,14 @@ def test_rows_near_each_other_share_a_page():
     assert np.median(extents.max(axis=1)) < 0.6  # of 1
 
 
+@pytest.fixture(params=[1 << 24, 20_000])
+def blocks(request, monkeypatch):
+    """All pages in one block of host memory, or two to eight in each."""
+    monkeypatch.setattr("clsplat.optimise.page_store.BLOCK_WORDS", request.param)
+
+
 @pytest.mark.oclgrind
-def test_pages_come_and_go_as_arrays_would_stay(float_device):
+def test_pages_come_and_go_as_arrays_would_stay(float_device, blocks):
     """Rows of pages that are there change, over and over; in the end each has its changes."""
     pages, _, values = pages_of(float_device, 3)
     rng = np.random.default_rng(2)
@@ -77,7 +83,7 @@ def test_pages_come_and_go_as_arrays_would_stay(float_device):
     assert np.array_equal(np.sort(seen), np.arange(COUNT))
 
 
-def test_pages_follow_growth(float_device):
+def test_pages_follow_growth(float_device, blocks):
     pages, positions, values = pages_of(float_device, 2)
     rng = np.random.default_rng(3)
     kept = 3000
@@ -115,7 +121,7 @@ def test_pages_that_fit_no_memory_are_in_a_file(item_device, monkeypatch, tmp_pa
         pages.regrow(np.arange(COUNT, dtype=np.uint32), COUNT, positions, "sh_rest")
 
 
-def test_sums_are_those_of_plain_arrays(float_device):
+def test_sums_are_those_of_plain_arrays(float_device, blocks):
     pages, _, values = pages_of(float_device, 2)
     total = pages.download("sh_rest")
     pages.add_to("sh_rest", total)
@@ -144,7 +150,7 @@ def test_slots_are_made_anew_where_there_is_memory_for_many_more(float_device):
     assert all(np.array_equal(pages.download(name), values[name]) for name in values)
 
 
-def test_pages_that_are_neighbours_travel_together(float_device, monkeypatch):
+def test_pages_that_are_neighbours_travel_together(float_device, monkeypatch, blocks):
     pages, _, values = pages_of(float_device, 6)
     reads, read = [], pages._transfers.read
     monkeypatch.setattr(pages._transfers, "read", lambda array, first, host: (
@@ -152,7 +158,8 @@ def test_pages_that_are_neighbours_travel_together(float_device, monkeypatch):
     pages.fetch(wanting(1, 2, 3, 5))
     pages.note_change()
     assert all(np.array_equal(pages.download(name), values[name]) for name in values)
-    assert sorted(reads) == 3 * [(0, 3)] + 3 * [(3, 1)]
+    if len(pages.store._blocks["sh_rest"]) == 1:
+        assert sorted(reads) == 3 * [(0, 3)] + 3 * [(3, 1)]
 
 
 @pytest.mark.parametrize("share", [0, 1e-3, 0.5, 1])
@@ -209,13 +216,11 @@ def test_rows_are_flagged_that_are_seen_once_they_have_caught_up(float_device, m
     assert flags[culled].all() and culled.sum() > 50
     assert (flags & ~culled).sum() < (1.5 if margin else 0.5) * culled.sum()  # of 60 x 40 pixels
     assert (flags >= (run.engine.seen(run.rows, camera, run.steps, 0.0).download() > 0)).all()
-    # by as many steps of the largest size
-    ahead = 0.02, 0.03
-    flags = run.engine.seen(run.rows, camera, run.steps, margin, ahead).download() > 0
-    moved = run.current()
-    moved["positions"].write(moved["positions"].download() + rng.choice(
-        (-1, 1), (run.count, 3)) * 7.2 * ahead[0])
-    moved["log_scales"].write(moved["log_scales"].download() + 7.2 * ahead[1])
-    larger = cull(float_device, moved, camera, DEFINES)[0].download() > 0
-    assert (larger & ~culled).any()
-    assert flags[larger].all()
+    for ahead in (0.02, 0.0), (0.0, 0.1):  # of steps of the largest size
+        flags = run.engine.seen(run.rows, camera, run.steps, margin, ahead).download() > 0
+        moved = run.current()
+        moved["positions"].write(moved["positions"].download() + rng.choice(
+            (-1, 1), (run.count, 3)) * 7.2 * ahead[0])
+        moved["log_scales"].write(moved["log_scales"].download() + 7.2 * ahead[1])
+        later = cull(float_device, moved, camera, DEFINES)[0].download() > 0
+        assert flags[later].all() and (later & ~culled).any()

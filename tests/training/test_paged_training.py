@@ -98,7 +98,10 @@ def check_same(one, other):
 @pytest.mark.parametrize("engine, batch", [("device", 1), ("coded", 1), ("device", 2)])
 def test_bytes_do_not_depend_on_the_room(float_device, monkeypatch, engine, batch):
     """Over steps without harmonics, rounds of catching up, growth, and looks at the model."""
-    results, images = [], []
+    results, images, made_anew = [], [], []
+    leave = models.Pages.leave_for_more
+    monkeypatch.setattr(models.Pages, "leave_for_more", lambda pages: (
+        made_anew.append(leave(pages)), made_anew[-1])[1])
     for room in (0, 3 if batch == 1 else 4):
         run = Run(float_device, monkeypatch, room, engine, batch)
         assert (run.model.pages is not None) == (room > 0)
@@ -119,15 +122,16 @@ def test_bytes_do_not_depend_on_the_room(float_device, monkeypatch, engine, batc
             assert run.model.pages.room == room < run.model.pages.pages
     check_same(*results)
     assert np.array_equal(*images)
-    assert results[0]["m.sh_rest"].any()
+    assert results[0]["m.sh_rest"].any() and any(made_anew)
 
 
 def test_a_page_that_nobody_asked_for_is_fetched_after_all(float_device, monkeypatch):
     """The frame fails and is repeated, with those that follow it."""
     whole, paged = Run(float_device, monkeypatch, 0), Run(float_device, monkeypatch, 3)
     look_ahead, room_made, repeated = paged.model.look_ahead, paged.step._make_room, []
-    monkeypatch.setattr(paged.model, "look_ahead", lambda number, steps, upcoming, *more: look_ahead(
-        number, steps, (lambda _: (0, paged.cameras[0])) if number % 4 == 0 else upcoming, *more))
+    monkeypatch.setattr(
+        paged.model, "look_ahead", lambda number, steps, upcoming, numbers: look_ahead(
+            number, steps, upcoming if number % 4 else lambda _: (0, paged.cameras[0]), numbers))
     monkeypatch.setattr(paged.step, "_make_room", lambda given, failed=1: (
         repeated.append(given.sample.number), room_made(given, failed)))
     for run in (whole, paged):
@@ -152,6 +156,14 @@ def test_pages_give_memory_back_for_frames(float_device, monkeypatch):
         assert (run.model.pages is not None) == bounded
         monkeypatch.undo()
     check_same(*results)
+
+
+def test_a_sum_goes_on_where_harmonics_are_paged_in_the_meantime(float_device, monkeypatch):
+    whole, paged = Run(float_device, monkeypatch, 0).model, Run(float_device, monkeypatch, 3).model
+    for name in ("positions", "sh_rest"):
+        total = paged.add_to(name, whole.add_to(name, None))
+        assert np.array_equal(total, 2 * row_of_gaussians().rows[name])
+        assert np.array_equal(paged.add_to(name, total), 3 * row_of_gaussians().rows[name])
 
 
 def test_harmonics_that_exceed_a_buffer_are_paged(float_device, monkeypatch):
