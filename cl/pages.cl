@@ -7,8 +7,6 @@
 #include "counts.h"
 #include "rest.h"
 
-#define LACKS_PAGE 2 // why a frame failed: not for lack of room
-
 __kernel void mark_pages(uint count, __global const uint *restrict flags,
                          __global const uint *restrict places, __global uint *restrict wanted)
 {
@@ -23,8 +21,8 @@ __kernel void require_pages(uint pages, uint clears, __global const uint *restri
                             __global uint *restrict wanted, __global uint *restrict counts)
 {
     FOR_EACH(page, pages) {
-        if (wanted[page] && (slots[page] & ABSENT))
-            counts[COUNT_FAILED] = LACKS_PAGE;
+        if (wanted[page] && (slots[page] & PAGE_ABSENT))
+            atomic_cmpxchg(counts + COUNT_FAILED, 0, LACKS_PAGE); // an earlier reason stays
         if (clears)
             wanted[page] = 0;
     }

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import pyopencl as cl
 
-from clsplat.constants import NO_ROW, SHARED
+from clsplat.constants import SHARED
 from clsplat.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -162,5 +162,5 @@ def define_options(pairs: Iterable[tuple[str, Any]]) -> list[str]:
 
     A float's repr reads back as the same double, or as the nearest float.
     """
-    return [f"-D{name}={value}{'u' * (value == NO_ROW)}"
+    return [f"-D{name}={value}{'u' * (isinstance(value, int) and value >= 2**31)}"
             for name, value in {**SHARED, **dict(pairs)}.items()]

@@ -17,13 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import FRAME_COUNTS, PAGE_ROWS
+from clsplat.constants import FRAME_COUNTS, PAGE_ABSENT, PAGE_ROWS
 from clsplat.device import Array, Device, Kernel, Transfers, Writing, each, pinned
 from clsplat.errors import OutOfDeviceMemory, TooFewPages
 from clsplat.optimise.page_store import PageStore
 
-ABSENT = 1 << 31  # as in cl/include/rest.h
-LACKS_PAGE = 2  # COUNT_FAILED of a frame that failed for that, as in cl/pages.cl
 TABLES = 8  # copies of `Pages.slots` that are on their way at the same time
 FREED_SHARE = 1 / 64  # of the slots: so many more than needed get free at a time
 MANY_MORE = 1.1  # times as many slots, for which all are made anew
@@ -121,7 +119,7 @@ class Pages:
         self._changed = np.zeros(room, bool)  # slots of which the host has an old copy
         self._used = np.zeros(room, np.int64)  # when each slot was wanted last
         self._now = 0
-        self.slots.fill(ABSENT)
+        self.slots.fill(PAGE_ABSENT)
         self._transfers.follow_kernels()  # which fill the arrays
         if room:
             self._tables = [_Table(pinned(self.device, (self.pages,))) for _ in range(TABLES)]
@@ -279,7 +277,7 @@ class Pages:
         turn = self._tables.pop(0)
         if turn.writing:
             turn.writing.wait()
-        turn.host[:] = np.where(self._slot < 0, ABSENT, self._slot)
+        turn.host[:] = np.where(self._slot < 0, PAGE_ABSENT, self._slot)
         turn.writing = Writing(self.slots, turn.host)
         self._tables.append(turn)
 

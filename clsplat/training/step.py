@@ -14,6 +14,7 @@ from clsplat.constants import (
     COUNT_MOST_VISIBLE,
     COUNT_SUM_PAIRS,
     COUNT_SUM_VISIBLE,
+    LACKS_PAGE,
 )
 from clsplat.densify.grow import Growth
 from clsplat.densify.round import Round
@@ -24,7 +25,6 @@ from clsplat.gaussians import FIELDS
 from clsplat.loss.image_loss import is_masked
 from clsplat.optimise.adam import learning_rates
 from clsplat.optimise.batch import BatchMean
-from clsplat.optimise.pages import LACKS_PAGE
 from clsplat.options import ScheduledOptions
 from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Gradients

@@ -3,10 +3,16 @@
 import numpy as np
 import pytest
 
-from clsplat.constants import CATCH_UP_EVERY, COUNT_FAILED, PAGE_ROWS
+from clsplat.constants import (
+    CATCH_UP_EVERY,
+    COUNT_FAILED,
+    LACKS_PAGE,
+    PAGE_ABSENT,
+    PAGE_ROWS,
+)
 from clsplat.errors import InputError, TooFewPages
 from clsplat.optimise.page_store import PageStore, spatial_order
-from clsplat.optimise.pages import ABSENT, LACKS_PAGE, Pages
+from clsplat.optimise.pages import Pages
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.cull import cull
 from tests.kernels.test_lazy_adam import DEFINES, Lazy
@@ -133,7 +139,7 @@ def test_pages_that_are_not_there_take_turns_in_a_few_slots(float_device):
     pages.fetch(wanting(0, 1, 2))
     groups = [group.tolist() for group in pages.rounds(PAGE_ROWS)]
     assert sorted(sum(groups, [])) == list(range(6)) and sum(groups[:3], []) == [0, 1, 2]
-    there = np.flatnonzero(pages.slots.download() < ABSENT)
+    there = np.flatnonzero(pages.slots.download() < PAGE_ABSENT)
     assert len({0, 1, 2} & set(there.tolist())) == 2
 
 
@@ -176,7 +182,7 @@ def test_the_page_that_is_wanted_last_leaves(float_device):
         pages.fetch(wanting(number))
 
     def there():
-        return set(np.flatnonzero(pages.slots.download() < ABSENT))
+        return set(np.flatnonzero(pages.slots.download() < PAGE_ABSENT))
 
     assert there() == {0, 1, 2}
     pages.fetch(wanting(3), lambda: np.array([1, 9, 2, 0, 0, 0]))
@@ -191,14 +197,16 @@ def test_a_frame_fails_where_a_page_is_not_there(float_device):
     pages.fetch(wanting(0, 3))
     places = pages.places.download()
 
-    def fails(page, clears=True):
+    def fails(page, clears=True, before=0):
         flags = np.zeros(COUNT, np.uint32)
         flags[np.flatnonzero(places // PAGE_ROWS == page)[5]] = 1
         counts = new_counts(float_device)
+        counts.write(np.array([before], np.uint32), COUNT_FAILED)
         pages.require(float_device.upload(flags), counts, clears)
         return counts.download()[COUNT_FAILED] == LACKS_PAGE
 
     assert not fails(3) and fails(5) and not fails(0)
+    assert not fails(5, before=1), "an earlier frame lacked room"
     assert fails(1, clears=False) and fails(0)  # a step of two views, of which one lacks a page
     assert not fails(0)
 
