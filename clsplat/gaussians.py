@@ -67,7 +67,7 @@ SPHERE = (
 FIELDS = LEARNED + SPHERE
 
 
-# odd numbers by which the sums of different points differ, as good as always
+# odd factors: the sums of different points then hardly ever agree
 KEYS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 
 

@@ -43,7 +43,7 @@ MOST_SHARING, CORES_SHARING = 4, 4
 MODEL_SHARE = 0.27
 LEAST_JOINT_STEPS = 450  # fewer are not worth it
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
-PIXELS_OF_A_PLACE = 10  # for a gaussian, of one of the photos that show it: 9 to 14 on three sets
+PIXELS_OF_A_PLACE = 10  # for a gaussian, of one of the photos that show it: 9.3 of a made survey
 # of larger cities
 GIB = 2**30
 COARSE_COST = 0.25  # time of the coarse run, as a share of the time of one run of the whole

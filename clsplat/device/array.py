@@ -111,22 +111,18 @@ class Array:
 
 class Reading:
     """A copy of an Array's values at one point of the queue, which is on its way to the host: to
-    begin it does not wait. `host`, as of `pinned`, receives it; None: new memory."""
+    begin it does not wait."""
 
-    def __init__(self, array: Array, host: NDArray[Any] | None = None) -> None:
-        self._host = np.empty(array.shape, array.dtype) if host is None else host
+    def __init__(self, array: Array) -> None:
+        self._host: NDArray[Any] = np.empty(array.shape, array.dtype)
         self._event = cl.enqueue_copy(array.device.queue, self._host, array.buffer,
                                       is_blocking=False)
         array.device.queue.flush()
 
     def values(self) -> NDArray[Any]:
         """The values; waits until they are there."""
-        self.wait()
-        return self._host
-
-    def wait(self) -> None:
-        """Wait until the values are there."""
         self._event.wait()
+        return self._host
 
 
 class Writing:

@@ -82,8 +82,8 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     `gaussians` : the coarse model, in the local frame of the whole `scene`; `views` : of the block,
     with cameras of the size they are trained at (`Scene.reduced`)."""
     positions = gaussians.positions.astype(np.float64)
-    reached = in_parts(region.reaches, world_of(scene, positions))
-    own = in_parts(region.owns, world_of(scene, positions))
+    world = world_of(scene, positions)
+    reached, own = in_parts(region.reaches, world), in_parts(region.owns, world)
     rest = ~reached
     size = np.ones(len(positions))
     deviations = np.exp(np.maximum.reduce(gaussians.log_scales[rest].T))
