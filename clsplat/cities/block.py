@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from clsplat.cities.city import Shown
-from clsplat.cities.exchange import exchange, lacking_blocks, other_blocks, write_owned
+from clsplat.cities.exchange import BlockRun, exchange, lacking_blocks, other_blocks
 from clsplat.cities.jobs import Job
 from clsplat.cities.scene import BlockScene
 from clsplat.cities.workers import Outcome, Workers
@@ -16,6 +16,7 @@ from clsplat.io.runs.city import DENSE, BlockFolder, CityFolder
 from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.write import DEPTH
 from clsplat.options import TrainOptions, checked_values, resolve
+from clsplat.training.checkpoint import Saved
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import train_or_resume
 from clsplat.training.progress import SilentProgress
@@ -98,18 +99,23 @@ def train_block(block: BlockFolder, device: Device | None = None,
     changes : see `block_options`.
     """
     options = block_options(block, **changes)
-    run, exchanges = RunFolder(block.run), [] if alone else block.exchanges
+    run, exchanges = RunFolder(block.run), block.exchanges
 
     def stop(_: dict[str, Any]) -> None:
         if stopping():
             raise StopTraining
 
-    def go_on(step: int = 0) -> None:
-        """Train until a step, or to the end if that is 0."""
-        stop_at = min(filter(None, (step, options.stop_at)), default=0)
+    def step_of(number: int) -> int:
+        """After which step an exchange is; 0 for 0."""
+        return exchanges[number - 1] if number else 0
+
+    def go_on(number: int, begins: Saved | None) -> None:
+        """Train until an exchange, or to the end if that is 0; see `BlockRun`."""
+        stop_at = min(filter(None, (step_of(number), options.stop_at)), default=0)
         try:
-            train_or_resume(scene.scene, replace(options, stop_at=stop_at), opened, run, progress,
-                            (stop,), scene.parts(options.exposure == "on"))
+            train_or_resume(scene.scene, replace(options, stop_at=stop_at), opened,
+                            BlockRun(block, scene, number, begins), progress, (stop,),
+                            scene.parts(options.exposure == "on"))
         except Interrupted as stopped:
             if (not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at
                     or stopping()):
@@ -124,24 +130,25 @@ def train_block(block: BlockFolder, device: Device | None = None,
         if run.is_finished:
             return BEFORE
         opened = device or choose_device(options.device, form=options.form)
-        others = other_blocks(block) if exchanges else []
+        others = other_blocks(block) if exchanges and not alone else []
         scene = BlockScene.read(block)
-        for number, step in enumerate(exchanges, 1):
-            if (taken := run.checkpoint_iteration()) < step:
-                go_on(step)
-            if taken <= step:
-                write_owned(block, scene, number)
-            place = f"exchange {number} of {len(exchanges)}, after step {step}"
-            if number == until:
+        done = max(filter(lambda number: block.exchanged(number).is_file(),
+                          range(1, len(exchanges) + 1)), default=0)
+        while True:
+            place = f"exchange {done} of {len(exchanges)}, after step {step_of(done)}"
+            if until and done >= until:
                 return f"stops at {place}"
-            if taken > step:
-                continue
-            if lacking := lacking_blocks(others, number):
-                return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}"
-                        f"{' ...' * (len(lacking) > MOST_NAMED)} too, then this block again")
-            exchange(block, scene, others, options, number)
-        go_on()
-    return "finished"
+            begins = None
+            if done and run.checkpoint_iteration() <= step_of(done):
+                if lacking := lacking_blocks(others, done):
+                    return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}"
+                            f"{' ...' * (len(lacking) > MOST_NAMED)} too, then this block again")
+                begins = exchange(block, scene, others, options, done)
+            if alone or done == len(exchanges):
+                go_on(0, begins)
+                return "finished"
+            done += 1
+            go_on(done, begins)
 
 
 def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Shown | None = None,

@@ -11,7 +11,7 @@ What a block goes on from follows from these files alone, and each is written on
 is killed during an exchange repeats it, and ends in the same bytes.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -20,20 +20,25 @@ from numpy.typing import NDArray
 
 from clsplat.cities.scene import BlockScene
 from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import reading
-from clsplat.io.models.ply import START
+from clsplat.io.models.ply import START, read_ply
 from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.records import object_of
 from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
 from clsplat.options import SceneOptions
 from clsplat.partition.blocks import block_start, trainable
+from clsplat.partition.region import world_of
 from clsplat.scene import Scene
-from clsplat.training.checkpoint import Arrays, gaussians_of
+from clsplat.training.checkpoint import Arrays, Saved, check_arrays
 from clsplat.training.parts.average import Average
 from clsplat.training.recorder import LOG_EVERY
 
+MOMENTS = "m", "v"
+REPLACED = "frozen.rows", "adam.last_step"  # arrays that are new after an exchange
+TRAINING = "training"  # key of these files: the state in a checkpoint
 STATISTICS = ("statistics.grad_norm_sum", "statistics.seen_count")
 SCALES = "row.log_scales"
 PLACES = ("row.positions", "row.anchors")
@@ -58,19 +63,48 @@ def most_exchanges(steps: int) -> int:
     return steps // (2 * LOG_EVERY)
 
 
-def write_owned(block: BlockFolder, own: BlockScene, number: int) -> None:
-    """Write what a block owns, with Adam's moments, from the checkpoint of its run, unless that was
-    done before; `own` : the block as it was read, `number` : of the exchange, from 1."""
-    path = block.exchanged(number)
-    if path.exists():
-        return
-    scene = own.scene.normalised()
-    arrays, _ = RunFolder(block.run).load_checkpoint(_is_by_gaussian)
-    owned = own.region.owns(scene.offset + scene.unit * arrays["row.positions"].astype(float))
-    with replacing(path) as file:
-        write_npz(file, {**{name: values[owned] for name, values in arrays.items()},
-                         STATE: state_array({"unit": scene.unit, "offset": scene.offset.tolist(),
-                                             CITY: block.read()[CITY], START: block.start()})})
+class BlockRun(RunFolder):
+    """The run of a block, whose checkpoint at an exchange is the file of what the block owns.
+
+    Nothing else of its gaussians is needed then, as it goes on beside those of other blocks.
+
+    Parameters
+    ----------
+    block, own : its folder, and the block as it was read.
+    number : of the exchange, from 1, to which it is trained; 0: to the end.
+    begins : what it goes on from, as `exchange` returns it; None: its checkpoint.
+    """
+
+    def __init__(self, block: BlockFolder, own: BlockScene, number: int = 0,
+                 begins: Saved | None = None) -> None:
+        super().__init__(block.run)
+        self._block, self._own, self._number, self._begins = block, own, number, begins
+
+    @property
+    def has_checkpoint(self) -> bool:
+        """As in `RunFolder`."""
+        return self._begins is not None or super().has_checkpoint
+
+    def load_checkpoint(self, wanted: Callable[[str], bool] = lambda name: True) -> Saved:
+        """As in `RunFolder`; what it begins with is handed over once, as it takes much memory."""
+        begins, self._begins = self._begins, None
+        return begins or super().load_checkpoint(wanted)
+
+    def save_checkpoint(self, arrays: Arrays, state: dict[str, Any]) -> None:
+        """As in `RunFolder`, but for the checkpoint at the exchange."""
+        if not self._number or state["iteration"] < self._block.exchanges[self._number - 1]:
+            super().save_checkpoint(arrays, state)
+            return
+        scene, record = self._own.scene.normalised(), self._block.read()
+        owned = np.flatnonzero(self._own.region.owns(world_of(scene, arrays["row.positions"])))
+        kept = {name: values[owned] if _is_by_gaussian(name) else values
+                for name, values in arrays.items()
+                if name not in REPLACED and not name.startswith(f"{Average.name}.")}
+        with replacing(self._block.exchanged(self._number)) as file:
+            write_npz(file, {**kept, STATE: state_array({
+                TRAINING: state, "unit": scene.unit, "offset": scene.offset.tolist(),
+                CITY: record[CITY], START: self._block.start()})})
+        self.remove_checkpoint()
 
 
 def other_blocks(block: BlockFolder) -> list[BlockFolder]:
@@ -91,55 +125,80 @@ def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
     return [other.path.name for other in others if not other.exchanged(number).is_file()]
 
 
-def exchange(block: BlockFolder, read: BlockScene, others: Iterable[BlockFolder],
-             options: SceneOptions, number: int) -> None:
-    """Replace a block's margin and surroundings, in the checkpoint of its run, by what other blocks
-    own. Gaussians of the margin bring the moments of their owner.
+def exchange(block: BlockFolder, own: BlockScene, others: Iterable[BlockFolder],
+             options: SceneOptions, number: int) -> Saved:
+    """What a block goes on from: what it owns, and in place of its margin and its surroundings what
+    other blocks own. Gaussians of the margin bring the moments of their owner.
 
     Parameters
     ----------
-    block, read, others : its folder, the block as it was read, and its `other_blocks`.
+    block, own : its folder, and the block as it was read.
+    others : its `other_blocks`; without them the margin and the surroundings are again as the block
+        began with them.
     options, number : of its training; of the exchange, from 1.
     """
-    run, record = RunFolder(block.run), block.read()
+    record = block.read()
     degree = record["options"]["sh_degree"]
-    arrays, state = run.load_checkpoint(lambda name: not _is_by_gaussian(name))
-    scene = read.scene.reduced(options.downscale, options.max_resolution).normalised()
-    region = read.region
+    scene = own.scene.reduced(options.downscale, options.max_resolution).normalised()
 
     def taken_from(other: BlockFolder) -> Arrays:
         """What the block holds of another one."""
-        owned = _in_frame_of(scene, *_owned(other, number, record))
-        start = block_start(gaussians_of(owned, degree), scene, region, scene.views)
-        taken = {name: values[start.indices] for name, values in owned.items()}
+        rows, frame = _owned(other, number, record, ["row"])
+        rows = _in_frame_of(scene, rows, frame)
+        start = block_start(Gaussians({name.removeprefix("row."): values
+                                       for name, values in rows.items() if name not in STATISTICS},
+                                      degree), scene, own.region, scene.views)
+        taken = {name: values[start.indices] for name, values in rows.items()}
         # which may be thinned
-        return {**taken, SCALES: start.gaussians.log_scales.astype(owned[SCALES].dtype)}
+        taken[SCALES] = start.gaussians.log_scales.astype(rows[SCALES].dtype)
+        if not start.own + start.margin:  # none is trained
+            return taken
+        moments, _ = _owned(other, number, record, MOMENTS)
+        return {**taken, **_in_frame_of(scene, {name: values[start.indices] for name, values
+                                                in moments.items()}, frame)}
 
+    def taken_from_start() -> Arrays:
+        """The margin and the surroundings with which the block began."""
+        gaussians = read_ply(block.initial, scene.offset).scaled(1 / scene.unit)
+        gaussians = gaussians.with_sh_degree(degree)
+        beyond = ~own.region.owns(world_of(scene, gaussians.positions))
+        return {name: gaussians.rows[name.removeprefix("row.")][beyond].astype(values.dtype)
+                for name, values in owned.items() if name.startswith("row.")}
+
+    def array(taken: Arrays, name: str, own_values: NDArray[Any]) -> NDArray[Any]:
+        """An array of what is taken; 0 where it has none of this name."""
+        shape = len(taken[SCALES]), *own_values.shape[1:]
+        return taken[name] if name in taken else np.zeros(shape, own_values.dtype)
+
+    arrays, frame = _owned(block, number, record)
+    owned = {name: values for name, values in arrays.items() if _is_by_gaussian(name)}
     with ThreadPoolExecutor(READ_TOGETHER) as threads:
-        found = list(threads.map(taken_from, others))
-    owned, _ = _owned(block, number, record)
-    new = {name: np.concatenate([values, *(taken.pop(name) for taken in found)])
+        found = list(threads.map(taken_from, others)) or [taken_from_start()]
+    new = {name: np.concatenate([values, *(array(taken, name, values) for taken in found)])
            for name, values in owned.items()}
-    trains = trainable(scene, region, new["row.positions"], new[SCALES])
-    kept = {name: values for name, values in arrays.items()
-            if not name.startswith(f"{Average.name}.")}  # of rows that are others now
-    run.save_checkpoint({
-        **kept, **new, "frozen.rows": (~trains).astype(np.uint32),
-        "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state)
+    trains = trainable(scene, own.region, new["row.positions"], new[SCALES])
+    state = frame[TRAINING]
+    return {**arrays, **new, "frozen.rows": (~trains).astype(np.uint32),
+            "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
 
 
-def _owned(block: BlockFolder, number: int, record: dict[str, Any]
+def _owned(block: BlockFolder, number: int, record: dict[str, Any], kinds: Collection[str] = ()
            ) -> tuple[Arrays, dict[str, Any]]:
     """What a block owned at an exchange, as arrays of a checkpoint, and the unit and the offset of
-    its frame; InputError for a file that is damaged, or of another city or block. `record` : of the
-    block that reads it."""
+    its frame with the state of its training; InputError for a file that is damaged, or of another
+    city or block.
+
+    `record` : of the block that reads it; `kinds` : of the arrays that it reads, besides
+    statistics; none: all that there are."""
     path = block.exchanged(number)
     cure = f"remove {path.parent}, and train that block again"
     with reading(path, "what a block owned at an exchange", cure):
-        arrays = read_npz(path)
+        arrays = read_npz(path, lambda name: not kinds or name in (STATE, *STATISTICS)
+                          or name.partition(".")[0] in kinds)
         frame = object_of(arrays.pop(STATE).tobytes())
-        gaussians_of(arrays, record["options"]["sh_degree"])
-        if not (frame["unit"] > 0 and np.shape(frame["offset"]) == (3,)):
+        check_arrays(arrays, record["options"]["sh_degree"], kinds or ("row", *MOMENTS))
+        if not (frame["unit"] > 0 and np.shape(frame["offset"]) == (3,)
+                and frame[TRAINING]["iteration"] > 0):
             raise ValueError("its frame is none")
     if (frame.get(CITY), frame.get(START)) != (record[CITY], block.start()):
         raise InputError(f"{path}: of another city, block or partition than {block.path}; {cure}")
@@ -157,7 +216,8 @@ def _in_frame_of(scene: Scene, owned: Arrays, frame: dict[str, Any]) -> Arrays:
             return values + np.log(factor)
         return values * factor**LENGTHS[name] if name in LENGTHS else values
 
-    return {name: moved(name, values).astype(values.dtype) for name, values in owned.items()}
+    return {name: moved(name, values).astype(values.dtype, copy=False)
+            for name, values in owned.items()}
 
 
 def _is_by_gaussian(name: str) -> bool:

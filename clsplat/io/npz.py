@@ -2,14 +2,19 @@
 
 import json
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import IO, Any, BinaryIO
+from zipfile import ZipInfo
 
 import numpy as np
 from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
 from numpy.typing import NDArray
 
 from clsplat.io.regular import opened_archive
+
+THREADS = 4  # that read arrays of a file
+READ_BYTES = 1 << 20  # so few that they are in the cache while they are copied
 
 
 def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True
@@ -22,12 +27,15 @@ def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True
     ----------
     wanted : called with the name of an array, returns whether it is read.
     """
-    found = {}
-    with opened_archive(path, lambda name: wanted(name.removesuffix(".npy"))) as (archive, members):
-        for name, member in members.items():
+    with opened_archive(path, lambda name: wanted(name.removesuffix(".npy"))
+                        ) as (archive, members), ThreadPoolExecutor(THREADS) as threads:
+
+        def read(member: ZipInfo) -> NDArray[Any]:
             with archive.open(member) as stream:
-                found[name.removesuffix(".npy")] = _read_array(stream, member.file_size)
-    return found
+                return _read_array(stream, member.file_size)
+
+        return dict(zip((name.removesuffix(".npy") for name in members),
+                        threads.map(read, members.values())))
 
 
 def write_npz(file: BinaryIO, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -46,5 +54,12 @@ def _read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
     """
     read_header = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
     shape, by_columns, dtype = read_header[read_magic(stream)](stream)
-    values = np.frombuffer(bytearray(stream.read(size)), dtype)
-    return values.reshape(shape, order="F" if by_columns else "C")
+    left = size - stream.tell()
+    content = np.empty(left, np.uint8)
+    for begin in range(0, left, READ_BYTES):
+        part = content[begin:begin + READ_BYTES]
+        if stream.readinto(part) != len(part):
+            raise ValueError("it ends too early")
+    if stream.read(1):
+        raise ValueError("it is longer than it says")
+    return content.view(dtype).reshape(shape, order="F" if by_columns else "C")

@@ -1,7 +1,7 @@
 """Checkpoints of a training: rows, moments, statistics, parts, schedule and clocks."""
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clsplat.config.option import checked
 from clsplat.errors import InputError, reason
 from clsplat.gaussians import FIELDS, LEARNED, Field, Gaussians
-from clsplat.io.runs.run import CHECKPOINT, OPTIONS, RunFolder
+from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
 from clsplat.options import TrainOptions
 from clsplat.training.budget import Deadline
@@ -74,7 +74,7 @@ class Checkpoint:
 
     def remove(self) -> None:
         """Remove the checkpoint of a finished run that nobody resumes."""
-        (self.run.path / CHECKPOINT).unlink(missing_ok=True)
+        self.run.remove_checkpoint()
 
     def _check(self, arrays: Arrays) -> None:
         if bad := [name for name, values in arrays.items() if not _is_finite(values)]:
@@ -140,17 +140,24 @@ def latest_model(run: RunFolder) -> Gaussians:
 
 def gaussians_of(arrays: Arrays, sh_degree: int) -> Gaussians:
     """The gaussians in the arrays of a checkpoint, whose moments and statistics are checked too;
-    KeyError names an array that is missing, ValueError one that does not fit."""
-    carried = [field for field in FIELDS if f"row.{field.name}" in arrays or field in LEARNED]
+    see `check_arrays`."""
+    check_arrays(arrays, sh_degree)
+    carried = [field for field in FIELDS if f"row.{field.name}" in arrays]
+    return Gaussians(_fields(arrays, "row", carried), sh_degree)
+
+
+def check_arrays(arrays: Arrays, sh_degree: int, kinds: Collection[str] = ("row", "m", "v")
+                 ) -> None:
+    """Check arrays of a checkpoint that have a row a gaussian: KeyError names one of these kinds
+    that is missing, ValueError one that does not fit. Statistics tell how many there are."""
     count = arrays["statistics.seen_count"].size
-    kinds = {"row": carried, "m": LEARNED, "v": LEARNED}
     shapes = {f"{kind}.{field.name}": field.row_shape(sh_degree)
-              for kind, fields in kinds.items() for field in fields}
+              for kind in kinds for field in FIELDS
+              if field in LEARNED or kind == "row" and f"row.{field.name}" in arrays}
     for name, shape in {**shapes, "statistics.grad_norm_sum": ()}.items():
         values = arrays[name]
         if values.dtype not in REALS or values.shape != (count, *shape) or not _is_finite(values):
             raise ValueError(f"{name} ({values.dtype}{list(values.shape)}, or not finite)")
-    return Gaussians(_fields(arrays, "row", carried), sh_degree)
 
 
 def _fields(arrays: Arrays, kind: str, fields: Iterable[Field]) -> Arrays:

@@ -120,8 +120,10 @@ def train_or_resume(scene: Scene, options: TrainOptions, device: Device, run: Ru
                     progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
                     parts: Iterable[Part] = ()) -> None:
     """Resume a run if it was begun, else train it in a new folder; arguments as for `train`."""
-    start, folder = (resume, run) if run.is_begun else (train, RunFolder.create(run.path))
-    start(scene, options, device, folder, progress, callbacks, parts=parts)
+    if not run.is_begun:
+        run.begin_new()
+    start = resume if run.is_begun else train
+    start(scene, options, device, run, progress, callbacks, parts=parts)
 
 
 class Training:

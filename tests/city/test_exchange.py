@@ -16,6 +16,7 @@ from clsplat.cities.scene import BlockScene
 from clsplat.cities.workers import Workers
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
+from clsplat.io.models.ply import read_ply
 from clsplat.io.npz import read_npz, write_npz
 from clsplat.io.records import write_object
 from clsplat.io.runs.city import BLOCK, EXCHANGES, OTHERS, BlockFolder, CityFolder
@@ -72,34 +73,59 @@ def city(stopped, tmp_path, item_device, monkeypatch):
 
 @pytest.mark.slow
 def test_a_block_goes_on_from_what_others_own(city):
-    block, run = city.block(0), RunFolder(city.block(0).run)
-    before, begun = run.load_checkpoint()
-    run.save_checkpoint({**before, "average.samples": np.array(1)}, begun)  # of rows that go
-    exchange.exchange(block, BlockScene.read(block), exchange.other_blocks(block),
-                      block_options(block), 1)
-    after, state = run.load_checkpoint()
-    assert set(after) == set(before)
+    block, own = city.block(0), BlockScene.read(city.block(0))
+    before = read_npz(block.exchanged(1))
+    after, state = exchange.exchange(block, own, exchange.other_blocks(block),
+                                     block_options(block), 1)
+    assert set(after) == {*before, "frozen.rows", "adam.last_step"} - {"state.json"}
     scene = read_scene(block.path).reduced(8.0, 10_000).normalised()
     other = read_scene(city.block(1).path).normalised()
     part = read_npz(city.block(1).exchanged(1))
-    region = BlockScene.read(block).region
-    own = region.owns(world_of(scene, before["row.positions"]))
-    count = int(own.sum())
-    assert 0 < count < len(own) and state["iteration"] == AT
+    count = len(before["row.positions"])
+    assert own.region.owns(world_of(scene, before["row.positions"])).all()
+    assert 0 < count and state["iteration"] == AT
     for name in ("row.positions", "row.sh_rest", "m.positions", "v.log_scales"):
-        assert np.array_equal(after[name][:count], before[name][own]), name
+        assert np.array_equal(after[name][:count], before[name]), name
     owned = world_of(other, part["row.positions"])
     taken = world_of(scene, after["row.positions"][count:])
     distance, row = cKDTree(owned).query(taken)
     assert distance.max() < 1e-5 * scene.unit and len(set(row)) == len(row)
-    reached = region.reaches(owned)
+    reached = own.region.reaches(owned)
     assert 50 < reached.sum() < len(owned) and np.isin(np.flatnonzero(reached), row).all()
     for name, power in (("m.positions", 1), ("v.positions", 2)):  # gradients by the same lengths
         assert np.allclose(after[name][count:] * (other.unit / scene.unit) ** power,
                            part[name][row], rtol=1e-4), name
     frozen = after["frozen.rows"] > 0
-    trains = trainable(scene, region, after["row.positions"], after["row.log_scales"])
+    trains = trainable(scene, own.region, after["row.positions"], after["row.log_scales"])
     assert np.array_equal(frozen, ~trains) and 0 < frozen[count:].sum() < len(row)
+
+
+@pytest.mark.slow
+def test_far_from_a_block_no_moments_are_read(city):
+    block, own = city.block(0), BlockScene.read(city.block(0))
+    near, _ = exchange.exchange(block, own, exchange.other_blocks(block), block_options(block), 1)
+    far = replace(own, region=replace(own.region, margin=0.0))
+    after, _ = exchange.exchange(block, far, exchange.other_blocks(block), block_options(block), 1)
+    count = len(read_npz(block.exchanged(1))["row.positions"])
+    assert near["m.positions"][count:].any() and near["v.sh_rest"][count:].any()
+    for name in ("m.positions", "v.sh_rest"):
+        assert after[name].dtype == near[name].dtype and not after[name][count:].any()
+    assert (after["frozen.rows"][count:] > 0).all()
+
+
+@pytest.mark.slow
+def test_a_block_that_goes_on_alone_has_again_the_margin_with_which_it_began(city):
+    block, own = city.block(0), BlockScene.read(city.block(0))
+    after, _ = exchange.exchange(block, own, [], block_options(block), 1)
+    before, start = read_npz(block.exchanged(1)), read_ply(block.initial, own.scene.offset)
+    count, beyond = len(before["row.positions"]), ~own.region.owns(
+        world_of(own.scene, start.positions))
+    assert np.array_equal(after["row.positions"][:count], before["row.positions"])
+    scene = own.scene.reduced(8.0, 10_000).normalised()
+    assert np.allclose(world_of(scene, after["row.positions"][count:]),
+                       world_of(own.scene, start.positions[beyond]), atol=1e-5)
+    assert not after["m.positions"][count:].any() and after["m.positions"][:count].any()
+    assert train_block(block, alone=True) == "finished"
 
 
 @pytest.mark.slow
@@ -128,12 +154,14 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
 def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
     block = city.block(0)
     run, part = RunFolder(block.run), block.exchanged(1)
-    content = part.read_bytes()
+    content = read_npz(part)
     part.unlink()
     said = train_block(block, until=1)
     assert said == f"stops at exchange 1 of 1, after step {AT}"
-    assert run.checkpoint_iteration() == AT and not run.has_model
-    assert part.read_bytes() == content  # written again from the checkpoint
+    assert not run.has_checkpoint and not run.has_model
+    again = read_npz(part)
+    assert all(np.array_equal(again[name], values) for name, values in content.items()
+               if name != "state.json")  # which has seconds
     assert train_block(block) == "finished"
 
 

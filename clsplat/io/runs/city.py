@@ -19,7 +19,7 @@ from clsplat.errors import InputError, reason
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.folders import new_folder
-from clsplat.io.models.ply import start_of, write_ply
+from clsplat.io.models.ply import START, start_of, write_ply
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
 from clsplat.io.records import digest_of, read_object, write_object
 from clsplat.io.runs.run import CITY, FILES, RunFolder, write_exposures
@@ -139,7 +139,7 @@ class CityFolder:
         block = self.block(number)
         record = json.loads(json.dumps({"number": number, **identity, "options": options}))
         if block.is_there:
-            if block.read() != record:
+            if {**block.read(), START: ""} != {**record, START: ""}:
                 raise InputError(f"{block.path}: holds a block of another partition, or with other "
                                  "options; remove it, or choose another --output")
             link_again(block.path, [scene.views[index] for index in views])
@@ -159,7 +159,7 @@ class CityFolder:
                     view.name: exposures[view.name] for view in part.views
                     if view.name in exposures})
             write_ply(partial / INITIAL, initial, scene.offset, sphere=True)
-            write_object(partial / BLOCK, record)
+            write_object(partial / BLOCK, {**record, START: digest_of(partial / INITIAL)})
         return block
 
 
@@ -186,8 +186,10 @@ class BlockFolder:
         return self.run / f"exchange_{number}.npz"
 
     def start(self) -> str:
-        """SHA-256 of `initial`, which names the block in its models and exchanges."""
-        return digest_of(self.initial)
+        """SHA-256 of `initial` as it was written, which names the block in its models and
+        exchanges; "" where neither that nor the file is there."""
+        recorded = self.read().get(START) if self.is_there else None
+        return recorded if isinstance(recorded, str) else digest_of(self.initial)
 
     def region(self) -> tuple[Region, dict[str, float]]:
         """The region of the block, and name of a view -> how often a training visits it."""

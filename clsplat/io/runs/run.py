@@ -58,13 +58,17 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: str | Path, overwrite: bool = False) -> RunFolder:
-        """Begin a new run in a folder, which is created if needed. If it may hold a run, the first
-        write, `write_options`, removes the files of that and nothing else."""
+        """Begin a new run in a folder, see `begin_new`."""
         run = cls(path)
-        make_folder(run.path, "choose another --output")
-        run.check_free(overwrite)
-        run._replaces = True
+        run.begin_new(overwrite)
         return run
+
+    def begin_new(self, overwrite: bool = False) -> None:
+        """Begin a new run in the folder, which is created if needed. If it may hold a run, the
+        first write, `write_options`, removes the files of that and nothing else."""
+        make_folder(self.path, "choose another --output")
+        self.check_free(overwrite)
+        self._replaces = True
 
     def check_free(self, overwrite: bool) -> None:
         """InputError if a new run, which may replace one if `overwrite`, cannot begin here."""
@@ -220,6 +224,10 @@ class RunFolder:
         disk, the previous checkpoint stays."""
         with replacing(self.path / CHECKPOINT) as file:
             write_npz(file, {**arrays, STATE: state_array(state)})
+
+    def remove_checkpoint(self) -> None:
+        """Remove the checkpoint, if there is one."""
+        (self.path / CHECKPOINT).unlink(missing_ok=True)
 
     def checkpoint_iteration(self) -> int:
         """The number of steps before the checkpoint; 0 without one."""
