@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from clsplat.cities.jobs import HERE
 from clsplat.config.option import AUTO, differences, is_auto
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError
@@ -18,7 +20,7 @@ from clsplat.io.folders import make_folder
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
-from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.city import CityFolder, Stage
 from clsplat.io.runs.origin import recorded_scene, scene_record
 from clsplat.io.runs.run import CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
@@ -35,6 +37,7 @@ from clsplat.training.start.prepare import prepare, scene_facts
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
 # of the steps of one run; at half size they cost a quarter or less. A joint training needs fewer
 COARSE_SHARE, COARSE_SHARE_BEFORE_JOINT = 0.5, 0.25
+LEAST_SECONDS = 0.1  # of a stage: less is one that was done before
 
 
 class Shown:
@@ -49,6 +52,15 @@ class Shown:
 
     def failure(self, text: str) -> None:
         """A line about a block that failed, or an option without effect."""
+
+
+@contextmanager
+def timed(folder: CityFolder, name: str) -> Iterator[None]:
+    """Record in the city's folder when the block was done, unless there was nothing to do."""
+    began = time.time()
+    yield
+    if (seconds := time.time() - began) > LEAST_SECONDS:
+        folder.add_stage(Stage(name, HERE, began, seconds))
 
 
 @dataclass(frozen=True, eq=False)

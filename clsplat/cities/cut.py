@@ -25,6 +25,7 @@ from clsplat.io.models.values import to_bytes
 from clsplat.io.runs.city import DENSE, EXCHANGES, OTHERS, PARTITION, CityFolder
 from clsplat.io.runs.run import read_exposures
 from clsplat.loss.image_loss import image_loss, loss_value
+from clsplat.optimise.page_store import host_memory
 from clsplat.options import LEAST_BYTES, bytes_of
 from clsplat.partition.blocks import block_start, filled, find_windows, owned_shares
 from clsplat.partition.make import make_partition
@@ -44,7 +45,8 @@ JOINT = "joint"  # key of partition.json for the options of the joint training, 
 LEAST_VISITS = 0.01  # of a view that was assigned to a block
 INVISIBLE = -1e4  # the logit of an opacity that is not drawn
 MOST_KEPT = 9  # arrays of opacities that stay on the device
-BLOCKS_TOGETHER = 4  # that are written at the same time, so that few are in memory
+# blocks that are written at the same time: each takes a core for the most part, and memory
+MOST_TOGETHER, ROW_BYTES, HOST_SHARE = 8, 1500, 0.5
 
 
 def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
@@ -115,7 +117,9 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
             {view.name: float(each) for view, each in zip(own.views, visits[number])})
 
     numbers = ((number,) for number in range(len(partition.regions)))
-    for _ in called_ahead(write, numbers, BLOCKS_TOGETHER, BLOCKS_TOGETHER):
+    rows = gaussians.count + (dense.count if dense else 0)
+    together = int(min(MOST_TOGETHER, max(1, HOST_SHARE * host_memory() / (ROW_BYTES * rows))))
+    for _ in called_ahead(write, numbers, together, together):
         pass  # an error is raised here
     with replacing(folder.picture) as file:
         write_map(file, partition, scene, counts)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.cities.city import City
+from clsplat.cities.city import City, timed
 from clsplat.cities.cut import JOINT, requested_of
 from clsplat.cities.scene import Stage
 from clsplat.cities.seams import find_seams
@@ -296,17 +296,18 @@ def evaluate_city(city: City, merged: Merged, against: Path | None = None
     whole = run.scene(whole=True)
     scene = run.as_trained(whole)
     train, test = scene.split(options.test_every, options.test_offset)
-    if test:
-        scores = evaluate_run(run, city.device, save_images=False, gaussians=merged.gaussians)
-        run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
-                                                     if key not in ("per_view", "pictures")}})
-    partition = folder.partition(scene)
-    if len(merged.shares) > 1:
-        reference = read_ply(against or RunFolder(folder.coarse).model_path, scene.offset)
-        seams = find_seams(city.device, partition, scene, test or train, options,
-                           merged.gaussians, reference.without_spheres())
-        run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
-                        "worst_seam_db": seams["worst_seam_db"], "borders": seams["borders"]})
+    with timed(folder, "evaluation"):
+        if test:
+            scores = evaluate_run(run, city.device, save_images=False, gaussians=merged.gaussians)
+            run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
+                                                         if key not in ("per_view", "pictures")}})
+        partition = folder.partition(scene)
+        if len(merged.shares) > 1:
+            reference = read_ply(against or RunFolder(folder.coarse).model_path, scene.offset)
+            seams = find_seams(city.device, partition, scene, test or train, options,
+                               merged.gaussians, reference.without_spheres())
+            run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
+                            "worst_seam_db": seams["worst_seam_db"], "borders": seams["borders"]})
     write_report(run.folder, scores["pictures"] if scores else training_pictures(run, city.device),
                  whole)
     return scores, seams

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from clsplat.cities.block import train_blocks
-from clsplat.cities.city import City, Shown, find_dense_gaussians, train_coarse
+from clsplat.cities.city import City, Shown, find_dense_gaussians, timed, train_coarse
 from clsplat.cities.cluster import connected
 from clsplat.cities.cut import cut_into_blocks, requested_of
 from clsplat.cities.merge import Merged, evaluate_city, merge_city_tree, merged_city, reference_file
@@ -103,11 +103,12 @@ def city(scene: Scene, options: TrainOptions, output: Path, *,
             if note:
                 shown.line(note)
         with _stopped_at(folder):
-            with shown.stage("coarse run") as progress:
+            with shown.stage("coarse run") as progress, timed(folder, "coarse run"):
                 train_coarse(whole, progress, cutting.joint_steps > 0)
-            with shown.stage("start of blocks") as progress:
+            with shown.stage("start of blocks") as progress, timed(folder, "dense points"):
                 find_dense_gaussians(whole, progress)
-            shown.line(cut_into_blocks(whole, cutting).text())
+            with timed(folder, "cut"):
+                shown.line(cut_into_blocks(whole, cutting).text())
             train_blocks(folder, all_, whole.device, shown, fill)
         return merge_city(whole, fill, reference, tree, shown=shown)
 
@@ -133,7 +134,8 @@ def merge_city(city: City, fill: bool = False, reference: Path | None = None, tr
     for `city`, `reference` : as `reference_file` returns it."""
     if tree:
         return Finished(merge_city_tree(city, fill))
-    with _stopped_at(city.folder), (shown or Shown()).stage("joint training") as progress:
+    with _stopped_at(city.folder), (shown or Shown()).stage("joint training") as progress, timed(
+            city.folder, "merge"):
         merged = merged_city(city, fill, progress)
     return Finished(merged, True, *evaluate_city(city, merged, reference))
 

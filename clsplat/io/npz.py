@@ -4,8 +4,8 @@ import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import IO, Any, BinaryIO
-from zipfile import ZipInfo
+from typing import Any, BinaryIO, cast
+from zipfile import ZipExtFile, ZipInfo
 
 import numpy as np
 from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
@@ -32,7 +32,7 @@ def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True
 
         def read(member: ZipInfo) -> NDArray[Any]:
             with archive.open(member) as stream:
-                return _read_array(stream, member.file_size)
+                return _read_array(cast(ZipExtFile, stream), member.file_size)
 
         return dict(zip((name.removesuffix(".npy") for name in members),
                         threads.map(read, members.values())))
@@ -49,7 +49,7 @@ def state_array(state: Mapping[str, Any]) -> NDArray[np.uint8]:
     return np.frombuffer(json.dumps(state, default=lambda value: value.tolist()).encode(), np.uint8)
 
 
-def _read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
+def _read_array(stream: ZipExtFile, size: int) -> NDArray[Any]:
     """The array of an .npy of `size` bytes; numpy's own reader would allocate what a header claims.
     """
     read_header = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
@@ -57,7 +57,7 @@ def _read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
     left = size - stream.tell()
     content = np.empty(left, np.uint8)
     for begin in range(0, left, READ_BYTES):
-        part = content[begin:begin + READ_BYTES]
+        part = content.data[begin:begin + READ_BYTES]
         if stream.readinto(part) != len(part):
             raise ValueError("it ends too early")
     if stream.read(1):

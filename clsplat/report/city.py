@@ -1,10 +1,11 @@
 """Tables of a city: the blocks of the merged model, and the seams between them."""
 
 from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
-from clsplat.io.runs.city import PICTURE
+from clsplat.io.runs.city import PICTURE, CityFolder, Stage
 from clsplat.report.page import Table, embedded
 from clsplat.report.scores import Record
 
@@ -12,6 +13,7 @@ SEAM_COLUMNS = (("pixels", "pixels"), ("psnr", "PSNR"), ("elsewhere_psnr", "else
                 ("seam_db", "seam dB"))  # figure of a border, and its title
 SEAM_NOTE = ("seam: gain in PSNR (colour-corrected, mean of views) over the reference elsewhere, "
              "minus the gain beside the border.")
+LONGEST_PAUSE = 10.0  # seconds without any stage that are shown
 
 
 def city_sections(folder: Path, records: Sequence[Record]) -> list[Table | str]:
@@ -23,8 +25,38 @@ def city_sections(folder: Path, records: Sequence[Record]) -> list[Table | str]:
         return []
     picture = folder / PICTURE
     sections = [embedded(picture, "map of the blocks")] if picture.is_file() else []
-    return [*sections, share_table(last["merge"]),
+    return [*sections, time_line(CityFolder(folder).stages()), share_table(last["merge"]),
             *([seam_table(last["seams"])] if last.get("seams", {}).get("borders") else [])]
+
+
+def time_line(stages: Sequence[Stage]) -> str:
+    """HTML of which stages each worker did, and when; "" without any."""
+    rows, end, paused = dict[str, list[list[Stage]]](), 0.0, 0.0
+    for stage in sorted(stages, key=lambda stage: stage.began):
+        paused += max(0.0, stage.began - end - LONGEST_PAUSE) if end else 0.0
+        end = max(end, stage.began + stage.seconds)
+        of_worker = rows.setdefault(stage.worker, [])
+        stage = stage._replace(began=stage.began - paused)
+        free = next((row for row in of_worker if sum(row[-1][2:]) <= stage.began), None)
+        if free is None:
+            of_worker.append(free := [])
+        free.append(stage)
+    if not rows:
+        return ""
+    first = min(row[0].began for of_worker in rows.values() for row in of_worker)
+    total = max(1e-9, end - paused - first)
+
+    def bar(stage: Stage) -> str:
+        text = escape(f"{stage.name}: {stage.seconds:,.1f} s")
+        return (f'<i style="left: {100 * (stage.began - first) / total:.2f}%; '
+                f'width: {100 * stage.seconds / total:.2f}%" title="{text}">{text}</i>')
+
+    lines = "".join(f"<tr><th>{escape(worker) if row is of_worker[0] else ''}</th>"
+                    f"<td>{''.join(map(bar, row))}</td></tr>\n"
+                    for worker, of_worker in sorted(rows.items()) for row in of_worker)
+    return (f"<h2>Stages</h2>\n<p>When each worker did what, in {total:,.0f} seconds. Pauses "
+            "between commands are shortened.</p>\n"
+            f"<div class=scroll><table class=stages>\n{lines}</table></div>\n")
 
 
 def share_table(record: dict[str, Any]) -> Table:

@@ -18,6 +18,7 @@ from clsplat.io.models.ply import read_ply
 from clsplat.io.photos.depth import read_depth, with_depths
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.views import read_valid
+from clsplat.io.records import digest_of
 from clsplat.io.runs import city as module
 from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import read_exposures
@@ -108,7 +109,7 @@ def test_a_block_is_a_scene(city, scene, gaussians, away):
         assert np.array_equal(response.vignetting, expected[name].vignetting)
     there = read_ply(block.initial, far.offset)
     assert np.allclose(there.positions, gaussians.positions, atol=1e-4)
-    assert block.read() == {"number": 0, **city.identity(),
+    assert block.read() == {"number": 0, **city.identity(), "start": digest_of(block.initial),
                             "options": {**OPTIONS, "levels": [2.0, 1.0]}}
     block.check()
     model = pycolmap.Reconstruction(str(block.path / "sparse" / "0"))

@@ -210,7 +210,8 @@ def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
         write_object(found[n].path / "block.json", {
             "number": n, "city": "c", "partition": "p", "options": {"device": "gpu"},
             EXCHANGES: [100, 200], OTHERS: others})
-    city = SimpleNamespace(blocks=found.values, block=found.__getitem__)
+    stages = []
+    city = SimpleNamespace(blocks=found.values, block=found.__getitem__, add_stage=stages.append)
     monkeypatch.setattr(training_block, "_expected_work", lambda block: 1)
     ran = []
 
@@ -232,6 +233,7 @@ def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
     last = "003, stage 3 of 3"  # needs the second parts of 2 and 3 only
     assert ran[:9] == [*firsts, *seconds, last]
     assert ran[9:] == (["000", "002"] if fill else [])
+    assert [stage.name for stage in stages] == ran and stages[0].worker == "this machine"
     assert {name: outcome.ok for name, outcome in outcomes.items()} == {
         "000": True, "001": False, "002": True, "003": True}
     assert str(outcomes["001"].error) == "no such photo"

@@ -7,10 +7,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from clsplat.io.runs.city import Stage
 from clsplat.io.runs.run import RunFolder
 from clsplat.report import run as run_page
 from clsplat.report import scores
 from clsplat.report.charts import Line, _panel, drawn, score_chart, step_chart
+from clsplat.report.city import LONGEST_PAUSE, time_line
 from clsplat.report.page import Table, full_name, page
 from clsplat.report.run import lead, level_table, write_report
 from tests.apps.browser import answer_of, needs_chromium
@@ -316,3 +318,18 @@ def test_the_browser_draws_every_panel(tmp_path):
     assert inked == [True] * 5
     last = [r for r in made_records("sig") if r["event"] == "eval"][-1]
     assert float(values[1]) == pytest.approx(last["psnr_cc"], abs=0.01)
+
+
+def test_stages_of_a_city_are_shown_when_and_where_they_were_done():
+    assert time_line([]) == ""
+    stages = [Stage("coarse <run>", "here", 1000.0, 10.0), Stage("000", "here, 0", 1010.0, 20.0),
+              Stage("001", "here, 0", 1015.0, 5.0), Stage("002", "here, 0", 1020.0, 15.0),
+              Stage("merge", "here", 5030.0, 5.0)]  # by a later command
+    html = time_line(stages)
+    bars = re.findall(r"<i style=\"left: ([\d.]+)%; width: ([\d.]+)%\" title=\"([^:]*):", html)
+    found = {name: (float(left) / 2, float(width) / 2) for left, width, name in bars}  # of 50 s
+    pause = LONGEST_PAUSE
+    assert found == {"coarse &lt;run&gt;": (0, 10), "000": (10, 20), "001": (15, 5),
+                     "002": (20, 15), "merge": (35 + pause, 5)}
+    assert "in 50 seconds" in html and html.count("<tr>") == 3  # two side by side
+    assert html.count("here, 0") == 1

@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +19,12 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError, reason
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL
+from clsplat.io.fields import number
 from clsplat.io.folders import new_folder
 from clsplat.io.models.ply import START, start_of, write_ply
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
-from clsplat.io.records import digest_of, read_object, write_object
+from clsplat.io.records import digest_of, object_of, read_object, write_object
+from clsplat.io.regular import read_regular
 from clsplat.io.runs.run import CITY, FILES, RunFolder, write_exposures
 from clsplat.io.scenes.write import link_again, write_scene
 from clsplat.partition.region import DAMAGED, Partition, Region
@@ -35,6 +38,17 @@ EXCHANGES = "exchanges"  # key of block.json: after how many steps blocks exchan
 DENSE = "dense"  # key of block.json: how many gaussians begin at dense points
 OTHERS = "others"  # and: the numbers of the blocks with which it does so
 INITIAL = "initial.ply"
+STAGES = "stages.jsonl"  # when each stage of a city was done
+
+
+class Stage(NamedTuple):
+    """A stage of a city that was done: what and where, when it began, in seconds since 1970, and
+    how many it took."""
+
+    name: str
+    worker: str
+    began: float
+    seconds: float
 
 
 class CityFolder:
@@ -87,6 +101,23 @@ class CityFolder:
         if foreign:
             raise InputError(f"{self.path}: holds {foreign[-1]}, but no city ({CITY} is missing); "
                              "choose another --output")
+
+    def add_stage(self, stage: Stage) -> None:
+        """Append a stage to those that were done."""
+        with open(self.path / STAGES, "a", encoding="utf-8") as file:
+            file.write(json.dumps(stage._asdict()) + "\n")
+
+    def stages(self) -> list[Stage]:
+        """The stages that were done, in the order of their ends; without damaged lines, as nothing
+        depends on them."""
+        path, found = self.path / STAGES, []
+        for line in read_regular(path).splitlines() if path.is_file() else ():
+            with suppress(ValueError, TypeError):
+                record = object_of(line)
+                found.append(Stage(str(record["name"]), str(record["worker"]),
+                                   number(record["began"], "began"),
+                                   number(record["seconds"], "seconds")))
+        return found
 
     def write_partition(self, record: dict[str, Any]) -> None:
         """Replace partition.json by the record of a Partition."""
