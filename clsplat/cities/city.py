@@ -1,4 +1,4 @@
-"""A city and its first stages: begin, the coarse run, dense points; cut.py and block.py follow."""
+"""A city and its first stages, begin and the coarse run; dense.py, cut.py and block.py follow."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.io.folders import make_folder
-from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.models.ply import read_ply
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
 from clsplat.io.runs.city import CityFolder, Stage
@@ -31,8 +31,7 @@ from clsplat.schedule.steps import worthwhile_steps
 from clsplat.training.loop import train_or_resume
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
-from clsplat.training.start.initialise import first_gaussians
-from clsplat.training.start.prepare import prepare, scene_facts
+from clsplat.training.start.prepare import scene_facts
 
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
 # of the steps of one run; at half size they cost a quarter or less. A joint training needs fewer
@@ -81,11 +80,12 @@ class City:
     device: Device
 
     @classmethod
-    def open(cls, folder: CityFolder, scene_path: Path | None = None, device: str = "") -> City:
+    def open(cls, folder: CityFolder, scene_path: Path | None = None, device: str | Device = ""
+             ) -> City:
         """A city that was begun, or that begins here with the coarse run in CITY/coarse.
 
-        `scene_path` : where the scene is now, if it was moved; `device` : "" for that of the
-        options.
+        `scene_path` : where the scene is now, if it was moved; `device` : its name, "" for that of
+        the options, or an open one.
         """
         if begun := folder.has_record:
             record = folder.read(scene=str, options=dict)
@@ -97,8 +97,10 @@ class City:
         else:
             run = Run.open(folder.coarse)
             options, scene = _options_before(run), run.scene(scene_path, whole=True)
-        city = cls(folder, scene, options, choose_device(device) if device else
-                   choose_device(options.device, form=options.form))
+        if not isinstance(device, Device):
+            device = (choose_device(device) if device else
+                      choose_device(options.device, form=options.form))
+        city = cls(folder, scene, options, device)
         if not begun:
             city.begin()
         return city
@@ -189,21 +191,3 @@ def _options_before(run: Run) -> TrainOptions:
         max_resolution=COARSE_FACTOR * coarse.max_resolution,
         iterations=(coarse.iterations if is_auto(coarse.iterations) else
                     int(coarse.iterations / COARSE_SHARE)))
-
-
-def find_dense_gaussians(city: City, progress: SilentProgress | None = None) -> None:
-    """Write CITY/dense.ply, if one run of the whole scene would begin at dense points.
-
-    They are found once for the whole, as photos are in several blocks, which begin with those that
-    stand in gaps of the coarse model (partition/blocks.py). A city that is cut already stays as it
-    is. InputError if they were requested, and cannot be had.
-    """
-    if city.folder.has_partition or city.folder.dense.is_file():
-        return
-    prepared = prepare(city.pinhole, city.options)
-    if prepared.options.init != "dense":
-        return
-    gaussians = first_gaussians(city.device, prepared, progress or SilentProgress(),
-                                enter=False).gaussians
-    write_ply(city.folder.dense, gaussians.with_sh_degree(0).scaled(prepared.scene.unit),
-              city.scene.offset, sphere=True)

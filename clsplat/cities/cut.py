@@ -45,8 +45,9 @@ JOINT = "joint"  # key of partition.json for the options of the joint training, 
 LEAST_VISITS = 0.01  # of a view that was assigned to a block
 INVISIBLE = -1e4  # the logit of an opacity that is not drawn
 MOST_KEPT = 9  # arrays of opacities that stay on the device
-# blocks that are written at the same time: each takes a core for the most part, and memory
-MOST_TOGETHER, ROW_BYTES, HOST_SHARE = 8, 1500, 0.5
+# blocks that are written at the same time: each takes a core for the most part, and this much of
+# the host's memory for a gaussian that it begins with
+MOST_TOGETHER, ROW_BYTES, HOST_SHARE = 8, 600, 0.5
 
 
 def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
@@ -117,7 +118,8 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
             {view.name: float(each) for view, each in zip(own.views, visits[number])})
 
     numbers = ((number,) for number in range(len(partition.regions)))
-    rows = gaussians.count + (dense.count if dense else 0)
+    rows = (gaussians.count + (dense.count if dense else 0)) * (
+        1 + 2 * partition.regions[0].margin) ** 2 / len(partition.regions)
     together = int(min(MOST_TOGETHER, max(1, HOST_SHARE * host_memory() / (ROW_BYTES * rows))))
     for _ in called_ahead(write, numbers, together, together):
         pass  # an error is raised here

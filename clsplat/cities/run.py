@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from clsplat.cities.block import train_blocks
-from clsplat.cities.city import City, Shown, find_dense_gaussians, timed, train_coarse
+from clsplat.cities.city import City, Shown, timed, train_coarse
 from clsplat.cities.cluster import connected
 from clsplat.cities.cut import cut_into_blocks, requested_of
+from clsplat.cities.dense import find_dense_gaussians, search_of
 from clsplat.cities.merge import Merged, evaluate_city, merge_city_tree, merged_city, reference_file
 from clsplat.cities.workers import Workers
 from clsplat.config.option import is_auto
@@ -22,7 +23,7 @@ from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted
 from clsplat.estimate.forecast import Forecast
 from clsplat.gaussians import LEARNED
-from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.city import CityFolder, Stage
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import SceneOptions, ScheduledOptions, TrainOptions, bytes_of
 from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, LEAST_GAUSSIANS, PartitionOptions
@@ -103,10 +104,15 @@ def city(scene: Scene, options: TrainOptions, output: Path, *,
             if note:
                 shown.line(note)
         with _stopped_at(folder):
+            search = all_.begin(search_of(whole)) if not folder.has_partition else None
             with shown.stage("coarse run") as progress, timed(folder, "coarse run"):
                 train_coarse(whole, progress, cutting.joint_steps > 0)
-            with shown.stage("start of blocks") as progress, timed(folder, "dense points"):
-                find_dense_gaussians(whole, progress)
+            with shown.stage("start of blocks") as progress:
+                if found := all_.end(search):
+                    folder.add_stage(Stage("dense points", found[1], *found[0]))
+                else:  # there is no other process, or it failed, which this one may explain
+                    with timed(folder, "dense points"):
+                        find_dense_gaussians(whole, progress)
             with timed(folder, "cut"):
                 shown.line(cut_into_blocks(whole, cutting).text())
             train_blocks(folder, all_, whole.device, shown, fill)

@@ -155,6 +155,30 @@ class Workers(AbstractContextManager["Workers"]):
         return [outcomes.get(job.name) or Outcome(job, error=InputError(
             f"it waits for {awaited(job)}")) for job in jobs]
 
+    def begin(self, job: Job) -> Future[Any] | None:
+        """Begin a job beside what this process does, see `end`; None: there is no other one."""
+        if not self.several or job.is_done:
+            return None
+        make_folder(job.folder)
+        future: Future[Any] = self._opened(_InProcess).submit(job)
+        return future
+
+    def end(self, future: Future[Any] | None) -> tuple[Any, str] | None:
+        """What a job that was begun returned, and its worker; None where it failed, or was none.
+
+        Waits, and raises Interrupted on Ctrl-C."""
+        if future is None or self._pool is None:
+            return None
+        try:
+            while not future.done():
+                self._pool.slots()  # raises an error where a cluster has no workers
+                time.sleep(POLL_SECONDS)
+        except KeyboardInterrupt:
+            self.close()
+            raise Interrupted("stopped; the same command continues") from None
+        value, error, worker = _settled(self._pool, future)
+        return None if error else (value, worker)
+
     def _opened(self, here: Callable[[Any], Any]) -> _Pool:
         if self.several and not self._pool:
             self._pool = (Cluster(self.scheduler) if self.scheduler else

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, BinaryIO, cast
-from zipfile import ZipExtFile, ZipInfo
+from zipfile import ZipExtFile, ZipFile, ZipInfo
 
 import numpy as np
 from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
@@ -28,10 +28,11 @@ def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True
     wanted : called with the name of an array, returns whether it is read.
     """
     with opened_archive(path, lambda name: wanted(name.removesuffix(".npy"))
-                        ) as (archive, members), ThreadPoolExecutor(THREADS) as threads:
+                        ) as (_, members), ThreadPoolExecutor(THREADS) as threads:
 
         def read(member: ZipInfo) -> NDArray[Any]:
-            with archive.open(member) as stream:
+            # threads must not share a file: a seek of zipfile is relative to where others read
+            with ZipFile(path) as own, own.open(member) as stream:
                 return _read_array(cast(ZipExtFile, stream), member.file_size)
 
         return dict(zip((name.removesuffix(".npy") for name in members),

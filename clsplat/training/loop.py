@@ -120,15 +120,15 @@ def train_or_resume(scene: Scene, options: TrainOptions, device: Device, run: Ru
                     progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
                     parts: Iterable[Part] = ()) -> None:
     """Resume a run if it was begun, else train it in a new folder; arguments as for `train`."""
-    if not run.is_begun:
-        run.begin_new()
     start = resume if run.is_begun else train
+    if start is train:
+        run.begin_new()
     start(scene, options, device, run, progress, callbacks, parts=parts)
 
 
 class Training:
-    """Runs a session to its end; arguments as for `train`, with the gaussians and the level of a
-    resumed run. `recorded` is whether the run folder contains this run."""
+    """Runs a session to its end; arguments as for `train`, with gaussians and level of a resumed
+    run. `recorded` : whether the run folder contains this run."""
 
     def __init__(self, scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                  progress: SilentProgress | None = None, gaussians: Gaussians | None = None,
@@ -136,8 +136,7 @@ class Training:
                  level: float = 0.0, parts: Iterable[Part] = ()) -> None:
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.recorded = gaussians is not None
-        parts = tuple(parts)
-        self.is_stage = is_stage(options, parts)
+        self.is_stage = is_stage(options, parts := tuple(parts))
         self._given, self.run, self.watcher = (scene, options), run, watcher
         self.progress = progress = SilentProgress() if progress is None else progress
         # the larger one shows it once
@@ -306,8 +305,7 @@ class Training:
         return self.recorder.check(self._measured)
 
     def _observe(self) -> tuple[dict[str, float] | None, dict[str, Any] | None]:
-        """The scene frequency, if that is measured after this step, and what the schedule, to which
-        it is passed if that is due, decides about the level."""
+        """The scene frequency, and what the schedule decides by it, if these are due."""
         session, decision = self.session, None
         observes = self._due(session.schedule.observe_every)
         if not (observes or self._due(LOG_EVERY)):

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.cities import city as cities
-from clsplat.cities.city import City, find_dense_gaussians
-from clsplat.errors import InputError
+from clsplat.cities import dense
+from clsplat.cities.city import City
+from clsplat.cities.dense import find_dense_gaussians, search_of
+from clsplat.errors import InputError, Interrupted
 from clsplat.io.models.ply import read_ply
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
@@ -42,6 +43,27 @@ def test_they_are_those_with_which_one_run_begins(folder, scene, item_device):
     assert folder.dense.stat().st_mtime_ns == before
 
 
+def test_a_job_finds_the_same_ones_and_can_be_stopped(tmp_path, item_device):
+    scene = read_scene(CITY)
+    options = resolve({}, {**LONG, "downscale": 8.0, "pixels_per_gaussian": 4.0})
+    found = []
+    for name in ("here", "job"):
+        whole = City(CityFolder(tmp_path / name), scene, options, item_device)
+        whole.begin()
+        job = search_of(whole)
+        if name == "here":
+            find_dense_gaussians(whole)
+        else:
+            with pytest.raises(Interrupted):
+                job.run(item_device, stopping=lambda: True)
+            assert not job.is_done
+            _, seconds = job.run(item_device)
+            assert seconds > 0
+        assert job.is_done
+        found.append(whole.folder.dense.read_bytes())
+    assert found[0] == found[1]
+
+
 @pytest.mark.parametrize("options", [{"init": "sfm"}, {"iterations": 10},
                                      {"schedule": "constant"}], ids=str)
 def test_no_city_has_them_where_one_run_begins_at_sparse_points(folder, scene, options):
@@ -51,7 +73,7 @@ def test_no_city_has_them_where_one_run_begins_at_sparse_points(folder, scene, o
 
 
 def test_a_city_that_is_cut_stays_as_it_is(folder, scene, monkeypatch):
-    monkeypatch.setattr(cities, "prepare", None)
+    monkeypatch.setattr(dense, "prepare", None)
     folder.write_partition({"method": "by hand"})
     find_dense_gaussians(City(folder, scene, resolve({}, LONG), None))
     assert not folder.dense.exists()

@@ -71,6 +71,20 @@ def test_jobs_run_in_order_and_once(tmp_path):
     assert run(given, here=here)[0].tries == 0 and len(called) == len(seen)
 
 
+@pytest.mark.slow
+def test_a_job_runs_beside_what_this_process_does(tmp_path):
+    works, fails, late = (replace(job, failures=number == 1) for number, job in
+                          enumerate(some_jobs(tmp_path, 3)))
+    with Workers(1) as workers:  # there is no other process
+        assert workers.begin(works) is None and workers.end(None) is None
+    with Workers(2, devices=("0", "1")) as workers:
+        begun = [workers.begin(works), workers.begin(fails)]
+        assert workers.end(begun[0]) == (1, f"{HERE}, device 1")
+        assert workers.end(begun[1]) is None
+        assert workers.begin(works) is None  # it is done
+        assert [outcome.ok for outcome in workers.run([late], None)] == [True]
+
+
 @pytest.mark.parametrize("error, tries, message", [
     (InputError("no photos: add some"), 1, "no photos: add some"),
     (OutOfDeviceMemory("no memory"), 1, "no memory"),
