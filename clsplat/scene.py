@@ -171,7 +171,7 @@ class Scene:
         cameras, points = self._sizes
         return cameras / max(points, np.finfo(float).tiny)
 
-    @property
+    @cached_property
     def _sizes(self) -> tuple[float, float]:
         """The extent of the cameras, and the median distance of a point from their mean."""
         positions = np.array([view.camera.position for view in self.views])

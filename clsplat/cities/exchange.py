@@ -11,7 +11,7 @@ What a block goes on from follows from these files alone, and each is written on
 is killed during an exchange repeats it, and ends in the same bytes.
 """
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from clsplat.cities.scene import BlockScene
 from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import reading
 from clsplat.io.models.ply import START, read_ply
@@ -29,14 +28,14 @@ from clsplat.io.records import object_of
 from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
 from clsplat.options import SceneOptions
-from clsplat.partition.blocks import block_start, trainable
-from clsplat.partition.region import world_of
+from clsplat.partition.blocks import choose_gaussians, trainable
+from clsplat.partition.region import Region, world_of
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import Arrays, Saved, check_arrays
 from clsplat.training.parts.average import Average
 from clsplat.training.recorder import LOG_EVERY
 
-MOMENTS = "m", "v"
+KINDS = "row", "m", "v"  # of arrays with a row a gaussian, besides statistics
 REPLACED = "frozen.rows", "adam.last_step"  # arrays that are new after an exchange
 TRAINING = "training"  # key of these files: the state in a checkpoint
 STATISTICS = ("statistics.grad_norm_sum", "statistics.seen_count")
@@ -44,7 +43,7 @@ SCALES = "row.log_scales"
 PLACES = ("row.positions", "row.anchors")
 # arrays of what is owned -> power of a length; gradients by positions have one over a length
 LENGTHS = {"row.max_offsets": 1, "m.positions": -1, "v.positions": -2}
-READ_TOGETHER = 2  # files, so that not all of them are in memory
+READ_TOGETHER = 4  # files, so that not all of them are in memory
 CITY = "city"  # key of block.json, and of these files: the fingerprint of the whole scene
 
 
@@ -125,7 +124,7 @@ def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
     return [other.path.name for other in others if not other.exchanged(number).is_file()]
 
 
-def exchange(block: BlockFolder, own: BlockScene, others: Iterable[BlockFolder],
+def exchange(block: BlockFolder, own: BlockScene, others: Sequence[BlockFolder],
              options: SceneOptions, number: int) -> Saved:
     """What a block goes on from: what it owns, and in place of its margin and its surroundings what
     other blocks own. Gaussians of the margin bring the moments of their owner.
@@ -138,68 +137,83 @@ def exchange(block: BlockFolder, own: BlockScene, others: Iterable[BlockFolder],
     options, number : of its training; of the exchange, from 1.
     """
     record = block.read()
-    degree = record["options"]["sh_degree"]
     scene = own.scene.reduced(options.downscale, options.max_resolution).normalised()
-
-    def taken_from(other: BlockFolder) -> Arrays:
-        """What the block holds of another one."""
-        rows, frame = _owned(other, number, record, ["row"])
-        rows = _in_frame_of(scene, rows, frame)
-        start = block_start(Gaussians({name.removeprefix("row."): values
-                                       for name, values in rows.items() if name not in STATISTICS},
-                                      degree), scene, own.region, scene.views)
-        taken = {name: values[start.indices] for name, values in rows.items()}
-        # which may be thinned
-        taken[SCALES] = start.gaussians.log_scales.astype(rows[SCALES].dtype)
-        if not start.own + start.margin:  # none is trained
-            return taken
-        moments, _ = _owned(other, number, record, MOMENTS)
-        return {**taken, **_in_frame_of(scene, {name: values[start.indices] for name, values
-                                                in moments.items()}, frame)}
-
-    def taken_from_start() -> Arrays:
-        """The margin and the surroundings with which the block began."""
-        gaussians = read_ply(block.initial, scene.offset).scaled(1 / scene.unit)
-        gaussians = gaussians.with_sh_degree(degree)
-        beyond = ~own.region.owns(world_of(scene, gaussians.positions))
-        return {name: gaussians.rows[name.removeprefix("row.")][beyond].astype(values.dtype)
-                for name, values in owned.items() if name.startswith("row.")}
-
-    def array(taken: Arrays, name: str, own_values: NDArray[Any]) -> NDArray[Any]:
-        """An array of what is taken; 0 where it has none of this name."""
-        shape = len(taken[SCALES]), *own_values.shape[1:]
-        return taken[name] if name in taken else np.zeros(shape, own_values.dtype)
-
     arrays, frame = _owned(block, number, record)
-    owned = {name: values for name, values in arrays.items() if _is_by_gaussian(name)}
-    with ThreadPoolExecutor(READ_TOGETHER) as threads:
-        found = list(threads.map(taken_from, others)) or [taken_from_start()]
-    new = {name: np.concatenate([values, *(array(taken, name, values) for taken in found)])
-           for name, values in owned.items()}
-    trains = trainable(scene, own.region, new["row.positions"], new[SCALES])
-    state = frame[TRAINING]
-    return {**arrays, **new, "frozen.rows": (~trains).astype(np.uint32),
+    rows = {name: arrays.pop(name) for name in list(arrays) if _is_by_gaussian(name)}
+    if others:
+        rows = _with_others(rows, others, number, record, scene, own.region)
+    else:
+        start = read_ply(block.initial, scene.offset).scaled(1 / scene.unit).with_sh_degree(
+            record["options"]["sh_degree"])
+        beyond = ~own.region.owns(world_of(scene, start.positions))
+        first = len(rows[SCALES])
+        rows = _longer(rows, int(beyond.sum()))
+        for name, values in start.rows.items():
+            rows[f"row.{name}"][first:] = values[beyond]
+    trains, state = trainable(scene, own.region, rows[PLACES[0]], rows[SCALES]), frame[TRAINING]
+    return {**arrays, **rows, "frozen.rows": (~trains).astype(np.uint32),
             "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
 
 
-def _owned(block: BlockFolder, number: int, record: dict[str, Any], kinds: Collection[str] = ()
+def _with_others(rows: Arrays, others: Sequence[BlockFolder], number: int, record: dict[str, Any],
+                 scene: Scene, region: Region) -> Arrays:
+    """What a block owns, and behind that what it holds of others, in the frame of its scene."""
+    def places(other: BlockFolder) -> Arrays:
+        return _in_frame_of(scene, *_owned(other, number, record, (PLACES[0], SCALES)))
+
+    def take(other: BlockFolder, kind: str, of_other: NDArray[np.integer], begin: int) -> None:
+        found, frame = _owned(other, number, record, [kind])
+        found = {name: values[of_other] for name, values in found.items()}
+        for name, values in _in_frame_of(scene, found, frame).items():
+            longer[name][begin:begin + len(of_other)] = values
+
+    with ThreadPoolExecutor(READ_TOGETHER) as threads:
+        there = list(threads.map(places, others))
+        before = np.cumsum([0, *(len(each[SCALES]) for each in there)])
+        positions, scales = (np.concatenate([each.pop(name) for each in there])
+                             for name in (PLACES[0], SCALES))
+        chosen = choose_gaussians(positions, scales, scene, region, scene.views)
+        first, longer = len(rows[SCALES]), _longer(rows, len(chosen.indices))
+        ends = np.searchsorted(chosen.indices, before).tolist()
+        jobs = [(other, kind, chosen.indices[begin:end] - skipped, first + begin)
+                for other, skipped, begin, end in zip(others, before, ends, ends[1:])
+                # none is trained where none is reached
+                for kind in (KINDS if chosen.reached[begin:end].any() else KINDS[:1])]
+        for _ in threads.map(lambda job: take(*job), jobs):
+            pass  # an error is raised here
+    longer[SCALES][first:] = chosen.log_scales  # of which some are thinned
+    return longer
+
+
+def _longer(rows: Arrays, more: int) -> Arrays:
+    """Arrays with more rows, which are 0; those given are removed one after the other."""
+    found = {}
+    for name in list(rows):
+        values = rows.pop(name)
+        found[name] = np.zeros((len(values) + more, *values.shape[1:]), values.dtype)
+        found[name][:len(values)] = values
+    return found
+
+
+def _owned(block: BlockFolder, number: int, record: dict[str, Any], wanted: Collection[str] = ()
            ) -> tuple[Arrays, dict[str, Any]]:
     """What a block owned at an exchange, as arrays of a checkpoint, and the unit and the offset of
     its frame with the state of its training; InputError for a file that is damaged, or of another
     city or block.
 
-    `record` : of the block that reads it; `kinds` : of the arrays that it reads, besides
-    statistics; none: all that there are."""
+    `record` : of the block that reads it; `wanted` : kinds or names of the arrays that it reads,
+    besides statistics; none: all that there are."""
     path = block.exchanged(number)
     cure = f"remove {path.parent}, and train that block again"
     with reading(path, "what a block owned at an exchange", cure):
-        arrays = read_npz(path, lambda name: not kinds or name in (STATE, *STATISTICS)
-                          or name.partition(".")[0] in kinds)
+        arrays = read_npz(path, lambda name: not wanted or name in (STATE, *STATISTICS, *wanted)
+                          or name.partition(".")[0] in wanted)
         frame = object_of(arrays.pop(STATE).tobytes())
-        check_arrays(arrays, record["options"]["sh_degree"], kinds or ("row", *MOMENTS))
+        check_arrays(arrays, record["options"]["sh_degree"],
+                     [kind for kind in KINDS if kind in wanted or not wanted])
         if not (frame["unit"] > 0 and np.shape(frame["offset"]) == (3,)
-                and frame[TRAINING]["iteration"] > 0):
-            raise ValueError("its frame is none")
+                and frame[TRAINING]["iteration"] > 0 and set(wanted) - {*KINDS} <= set(arrays)):
+            raise ValueError("its frame is none, or it lacks places")
     if (frame.get(CITY), frame.get(START)) != (record[CITY], block.start()):
         raise InputError(f"{path}: of another city, block or partition than {block.path}; {cure}")
     return arrays, frame
@@ -222,4 +236,4 @@ def _in_frame_of(scene: Scene, owned: Arrays, frame: dict[str, Any]) -> Arrays:
 
 def _is_by_gaussian(name: str) -> bool:
     """Whether an array of a checkpoint, which exchanges contain too, has a row a gaussian."""
-    return name.partition(".")[0] in ("row", "m", "v") or name in STATISTICS
+    return name.partition(".")[0] in KINDS or name in STATISTICS

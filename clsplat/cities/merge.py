@@ -30,7 +30,7 @@ from clsplat.cities.seams import find_seams
 from clsplat.cities.tree import TreeBuilder
 from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.evaluation.run import Run
-from clsplat.evaluation.views import evaluate_run, training_pictures
+from clsplat.evaluation.views import METRICS, evaluate_run, training_pictures
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.georeference.files import placement_comments, write_placement
@@ -298,7 +298,8 @@ def evaluate_city(city: City, merged: Merged, against: Path | None = None
     train, test = scene.split(options.test_every, options.test_offset)
     with timed(folder, "evaluation"):
         if test:
-            scores = evaluate_run(run, city.device, save_images=False, gaussians=merged.gaussians)
+            scores = evaluate_run(run, city.device, save_images=False, metrics=METRICS,
+                                  gaussians=merged.gaussians)
             run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
                                                          if key not in ("per_view", "pictures")}})
         partition = folder.partition(scene)

@@ -42,6 +42,7 @@ MOST_STEPS = 32  # of the sides of windows in a photo's longest side, so that fe
 MOST_COUNTED = 20_000  # gaussians for which shares are counted
 MOST_BOUNDED = 200_000  # gaussians of a block by which windows are found
 
+SIZED_TOGETHER = 1 << 20  # gaussians whose sizes a thread finds in all views
 CLUSTER = 256  # points that a view is compared with together
 ROUNDING = 1e-6  # of the lengths compared: a cluster is never missed by it
 
@@ -68,9 +69,25 @@ class BlockStart:
     dense: int = 0
 
 
-def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]
-                ) -> BlockStart:
-    """Choose the gaussians that the block of a region starts from.
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Which gaussians a block holds.
+
+    Attributes
+    ----------
+    indices, log_scales : int[K], ascending, and [K, 3], larger for those that stand for others too.
+    owned, reached : bool[K], in the block's cell; in that or its margin.
+    """
+
+    indices: NDArray[np.integer]
+    log_scales: NDArray[np.floating]
+    owned: NDArray[np.bool_]
+    reached: NDArray[np.bool_]
+
+
+def choose_gaussians(positions: NDArray[np.floating], log_scales: NDArray[np.floating],
+                     scene: Scene, region: Region, views: Sequence[View]) -> Choice:
+    """Choose the gaussians that the block of a region holds.
 
     Surroundings that are smaller than a pixel in every view are thinned: where two standard
     deviations are s < 1 pixels, a share of s^2 of them is kept and enlarged by 1 / s, so that
@@ -79,21 +96,32 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     Leaving out all small ones would leave holes: on the sample city, where they are 1 in 14 of a
     model, the views then had a PSNR of 26 dB against the whole model, and 35 dB with thinning.
 
-    `gaussians` : the coarse model, in the local frame of the whole `scene`; `views` : of the block,
+    `positions`, `log_scales` : [N, 3], in the local frame of the `scene`; `views` : of the block,
     with cameras of the size they are trained at (`Scene.reduced`)."""
-    positions = gaussians.positions.astype(np.float64)
+    positions = positions.astype(np.float64)
     world = world_of(scene, positions)
-    reached, own = in_parts(region.reaches, world), in_parts(region.owns, world)
+    reached, owned = in_parts(region.reaches, world), in_parts(region.owns, world)
     rest = ~reached
     size = np.ones(len(positions))
-    deviations = np.exp(np.maximum.reduce(gaussians.log_scales[rest].T))
-    size[rest] = largest_sizes(positions[rest], deviations, views, scene.near_plane,
-                               enough=1).clip(0, 1)
-    keeps = np.random.default_rng(0).random(len(size)) < size**2
-    rows = {name: values[keeps] for name, values in gaussians.rows.items()}
-    rows["log_scales"] = (rows["log_scales"] - np.log(size[keeps])[:, None]).astype(np.float32)
-    return BlockStart(Gaussians(rows, gaussians.sh_degree), np.flatnonzero(keeps), int(own.sum()),
-                      int((reached & ~own).sum()), int((keeps & rest).sum()))
+    deviations = np.exp(np.maximum.reduce(log_scales[rest].T))
+    size[rest] = in_parts(
+        lambda some, theirs: largest_sizes(some, theirs, views, scene.near_plane, enough=1),
+        positions[rest], deviations, size=SIZED_TOGETHER).clip(0, 1)
+    kept = np.flatnonzero(np.random.default_rng(0).random(len(size)) < size**2)
+    return Choice(kept, (log_scales[kept] - np.log(size[kept])[:, None]).astype(log_scales.dtype),
+                  owned[kept], reached[kept])
+
+
+def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]
+                ) -> BlockStart:
+    """The gaussians that the block of a region starts from, of a coarse model in the local frame of
+    the whole scene; see `choose_gaussians`."""
+    chosen = choose_gaussians(gaussians.positions, gaussians.log_scales, scene, region, views)
+    rows = {name: values[chosen.indices] for name, values in gaussians.rows.items()
+            if name != "log_scales"}
+    return BlockStart(Gaussians({**rows, "log_scales": chosen.log_scales}, gaussians.sh_degree),
+                      chosen.indices, int(chosen.owned.sum()),
+                      int((chosen.reached & ~chosen.owned).sum()), int((~chosen.reached).sum()))
 
 
 def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, most: int = 0

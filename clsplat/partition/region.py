@@ -161,16 +161,17 @@ def world_of(scene: Scene, points: ArrayLike) -> NDArray[np.float64]:
     return scene.offset + scene.unit * np.asarray(points, np.float64).reshape(-1, 3)
 
 
-def in_parts(function: Callable[..., NDArray[Any]], *rows: NDArray[Any]) -> NDArray[Any]:
-    """What a function of rows [N, ...] returns for each row, [N]; it is called with some of them at
-    a time, in threads: on two cores, that finds which of 4 M rows a block trains in half of the
+def in_parts(function: Callable[..., NDArray[Any]], *rows: NDArray[Any], size: int = PART_ROWS
+             ) -> NDArray[Any]:
+    """What a function of rows [N, ...] returns for each row, [N]; it is called with `size` of them
+    at a time, in threads: on two cores, that finds which of 4 M rows a block trains in half of the
     time."""
-    firsts = range(0, max(1, len(rows[0])), PART_ROWS)
+    firsts = range(0, max(1, len(rows[0])), size)
     if len(firsts) == 1:
         return function(*rows)
     with ThreadPoolExecutor() as threads:
         return np.concatenate([*threads.map(
-            lambda first: function(*(each[first:first + PART_ROWS] for each in rows)), firsts)])
+            lambda first: function(*(each[first:first + size] for each in rows)), firsts)])
 
 
 @dataclass(frozen=True, eq=False)
