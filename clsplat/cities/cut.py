@@ -24,6 +24,7 @@ from clsplat.io.atomic import replacing
 from clsplat.io.models.values import to_bytes
 from clsplat.io.runs.city import DENSE, EXCHANGES, OTHERS, PARTITION, CityFolder
 from clsplat.io.runs.run import read_exposures
+from clsplat.io.scenes.write import link_again
 from clsplat.loss.image_loss import image_loss, loss_value
 from clsplat.optimise.page_store import host_memory
 from clsplat.options import LEAST_BYTES, bytes_of
@@ -56,6 +57,10 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
 
     Existing ones stay as they are, and the partition must have been made with these options."""
     folder, options, scene = city.folder, city.options, city.pinhole  # blocks are pinhole scenes
+    if folder.has_partition:
+        _check_same(folder, partition_options)
+        if _is_cut(folder, scene):
+            return _block_table(folder)
     coarse = Run.open(folder.coarse)
     small, gaussians = coarse.options, coarse.finished_model
     dense = city.dense_gaussians(gaussians.sh_degree)
@@ -65,7 +70,6 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
     one_run, facts = city.one_run(scene, [scene.views[index] for index in views])
     if folder.has_partition:
         partition = folder.partition(scene)
-        _check_same(folder, partition_options)
     else:
         partition_options, drop = partition_options.decided(), None
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
@@ -124,17 +128,29 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
     for _ in called_ahead(write, numbers, together, together):
         pass  # an error is raised here
     with replacing(folder.picture) as file:
-        write_map(file, partition, scene, counts)
-    return _block_table(folder, counts)
+        write_map(file, partition, scene, counts.tolist())
+    return _block_table(folder)
 
 
-def _block_table(city: CityFolder, counts: Iterable[int]) -> Table:
-    """The start of each block of a city; `counts` [B]: the gaussians that it owns."""
-    names = ("margin", "surroundings", DENSE, "views")
-    records = [(block.path.name, block.read(*names[:2], names[-1])) for block in city.blocks()]
-    rows = [(name, f"{count:,}", *(f"{record.get(column, 0):,}" for column in names),
+def _is_cut(city: CityFolder, scene: Scene) -> bool:
+    """Whether all blocks and the map of a partition were written, as the record of a block is last;
+    photos that were moved since are linked again."""
+    partition, identity = city.partition(scene), city.identity()
+    blocks = [city.block(number) for number in range(len(partition.regions))]
+    if not city.picture.is_file() or not all(
+            block.is_there and identity.items() <= block.read().items() for block in blocks):
+        return False
+    for block, chosen in zip(blocks, partition.views):
+        link_again(block.path, [scene.views[index] for index in chosen])
+    return True
+
+
+def _block_table(city: CityFolder) -> Table:
+    """The start of each block of a city."""
+    names = ("own", "margin", "surroundings", DENSE, "views")
+    rows = [(block.path.name, *(f"{record.get(column, 0):,}" for column in names),
              f"{record['options']['iterations']:,}")
-            for (name, record), count in zip(records, counts)]
+            for block in city.blocks() for record in [block.read("own", "margin", "views")]]
     return Table("Blocks", ("block", "gaussians", "margin", "around", "dense", "views", "steps"),
                  rows, range(1, 7), (
         "Gaussians: of the coarse run; around: those that the block holds without training them; "

@@ -33,6 +33,7 @@ from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import METRICS, evaluate_run, training_pictures
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ahead import called_ahead
+from clsplat.io.atomic import replacing
 from clsplat.io.georeference.files import placement_comments, write_placement
 from clsplat.io.lock import LockTaken, check_unlocked
 from clsplat.io.models.ply import read_ply, write_ply
@@ -42,6 +43,7 @@ from clsplat.io.runs.city import PARTITION, BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder, read_exposures, write_exposures
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.partition.region import Partition, world_of
+from clsplat.report.figures.map import write_map
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
 from clsplat.training.loop import train_or_resume, trained_on
@@ -309,6 +311,10 @@ def evaluate_city(city: City, merged: Merged, against: Path | None = None
                                merged.gaussians, reference.without_spheres())
             run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
                             "worst_seam_db": seams["worst_seam_db"], "borders": seams["borders"]})
+    if seams:
+        with replacing(folder.picture) as file:
+            write_map(file, partition, whole, [share.gaussians for share in merged.shares],
+                      seams["borders"])
     write_report(run.folder, scores["pictures"] if scores else training_pictures(run, city.device),
                  whole)
     return scores, seams

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 
+from clsplat.cities.seams import find_borders
 from clsplat.partition.options import METHODS
 from clsplat.report.figures.map import partition_map
 from tests.data.fields import cut, field, moved, world
@@ -53,3 +54,20 @@ def test_held_out_and_lost_views_are_marked_apart():
     marks = {line.get_label(): len(line.get_xdata()) for line in figure.axes[0].lines}
     assert marks == {"in no block": 1, "held out": 1}
     assert ", 1 in none" in figure.axes[0].get_title(loc="left")
+
+
+def test_borders_are_drawn_with_their_seams():
+    scene, partition, plain = drawn()
+    found = [{"blocks": border.blocks, "seam_db": 0.5 if border.blocks[0] else None}
+             for border in find_borders(partition)]
+    figure = partition_map(partition, scene, range(6), found)
+    lines = [line for line in figure.axes[0].lines if line not in plain.axes[0].lines
+             and len(line.get_xdata()) > 20]
+    seams = [text for text in figure.axes[0].texts if text.get_text() == "0.5 dB"]
+    assert len(lines) == len(seams) == sum(border["seam_db"] is not None for border in found) > 2
+    for border, line in zip((each for each in found if each["seam_db"]), lines):
+        one, other = (partition.regions[block].grown(1e-6) for block in border["blocks"])
+        origin = partition.space.origin
+        away = np.transpose(line.get_data()) - partition.space.map(origin[None])
+        places = origin + np.column_stack([away, np.zeros(len(away))])
+        assert one.owns(places).all() and other.owns(places).all()
