@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,7 +25,7 @@ from clsplat.io.runs.origin import recorded_scene, scene_record
 from clsplat.io.runs.run import CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, checked_values, resolve
-from clsplat.scene import Scene, View
+from clsplat.scene import Scene
 from clsplat.schedule.plan import SceneFacts
 from clsplat.schedule.steps import worthwhile_steps
 from clsplat.training.loop import train_or_resume
@@ -134,9 +134,11 @@ class City:
         make_folder(folder.path, "choose another --output")
         folder.write(record)
 
-    def one_run(self, scene: Scene, views: Sequence[View]) -> tuple[int, SceneFacts]:
-        """The steps that one run of a scene with these training views takes, and its facts."""
-        facts = scene_facts(scene, views)
+    @cached_property
+    def one_run(self) -> tuple[int, SceneFacts]:
+        """The steps that one run of `pinhole` takes, and its facts."""
+        views, _ = self.pinhole.split(self.options.test_every, self.options.test_offset)
+        facts = scene_facts(self.pinhole, views)
         return worthwhile_steps(self.options, facts, len(views))[0], facts
 
     def dense_gaussians(self, sh_degree: int) -> Gaussians | None:
@@ -170,8 +172,7 @@ def coarse_options(city: City, joint: bool = False) -> TrainOptions:
 
     `joint` : whether the city will be trained jointly.
     """
-    options, scene = city.options, city.pinhole
-    one_run, _ = city.one_run(scene, scene.split(options.test_every, options.test_offset)[0])
+    options, (one_run, _) = city.options, city.one_run
     share = COARSE_SHARE_BEFORE_JOINT if joint else COARSE_SHARE
     return dataclasses.replace(
         options, coarse=True, init=AUTO,

@@ -67,7 +67,7 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
     decided = decided_by(coarse.folder)
     training = {view.name for view in scene.split(options.test_every, options.test_offset)[0]}
     views = np.flatnonzero([view.name in training for view in scene.views])
-    one_run, facts = city.one_run(scene, [scene.views[index] for index in views])
+    one_run, facts = city.one_run
     if folder.has_partition:
         partition = folder.partition(scene)
     else:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
+from clsplat.covisibility.clusters import Clusters
 from clsplat.covisibility.source_views import observed_points
 from clsplat.response import corner_radius, squared_radius
 from clsplat.scene import Scene, View
@@ -51,10 +52,10 @@ def exposure_drift(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
     -------
     The drift; 0 if fewer than two photos show at least LEAST_POINTS points.
     """
-    own = _log_luma(colours.T)
+    own, clusters = _log_luma(colours.T), Clusters(points)
     medians, errors = [], []
     for view, photo in zip(views, photos):
-        shown, column, row = _shown_points(view.camera, photo, points)
+        shown, column, row = _shown_points(view.camera, photo, points, clusters)
         if len(shown) < LEAST_POINTS:
             continue
         brighter = _log_luma(photo[:3, row, column]) - own[shown]
@@ -71,18 +72,20 @@ def _log_luma(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
     return np.log(np.maximum(LUMA @ pixels / 255, DARKEST_LUMA))
 
 
-def _shown_points(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.floating]
+def _shown_points(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.floating],
+                  clusters: Clusters
                   ) -> tuple[NDArray[np.integer], NDArray[np.integer], NDArray[np.integer]]:
     """Index, pixel column and pixel row of the points in the photo that no nearer point hides, nor
     its mask. Without the test for hidden ones, walls behind roofs change the median more than
     exposure does."""
-    inside, column, row, depth = _points_inside(camera, photo, points)
+    near = np.sort(clusters.order[clusters.near_view(camera, 0.0)])
+    inside, column, row, depth = _points_inside(camera, photo, points[near])
     size = -(-max(photo.shape[1:]) // OCCLUSION_CELLS)
     cell = row // size * OCCLUSION_CELLS + column // size
     nearest = np.full(OCCLUSION_CELLS**2, np.inf)
     np.minimum.at(nearest, cell, depth)
     counted = (depth <= OCCLUSION_DEPTH * nearest[cell]) & (photo[3:, row, column] > 0).all(axis=0)
-    return inside[counted], column[counted], row[counted]
+    return near[inside[counted]], column[counted], row[counted]
 
 
 def _points_inside(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.floating]
@@ -103,7 +106,9 @@ def corner_darkening(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
     by least squares: the same point is seen in the middle of some photos and near the border of
     others. Where a camera moves along its axis, what is near the border is near the camera, too.
     Arguments as for `exposure_drift`; 0 if no two photos show the same points."""
-    parts = [_darkening_samples(view, photo, points) for view, photo in zip(views, photos)]
+    clusters = Clusters(points)
+    parts = [_darkening_samples(view, photo, points, clusters)
+             for view, photo in zip(views, photos)]
     if not parts:
         return 0.0
     view = np.repeat(np.arange(len(parts)), [len(point) for point, _ in parts])
@@ -117,13 +122,13 @@ def corner_darkening(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
     return float(1 - np.exp(factors[0]))
 
 
-def _darkening_samples(view: View, photo: NDArray[np.uint8], points: NDArray[np.floating]
-                       ) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
+def _darkening_samples(view: View, photo: NDArray[np.uint8], points: NDArray[np.floating],
+                       clusters: Clusters) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
     """The points that a photo shows, and their log luma, squared radius and log depth, [3, N].
 
     The squared radius is 1 in the farthest corner.
     """
-    shown, column, row = _shown_points(view.camera, photo, points)
+    shown, column, row = _shown_points(view.camera, photo, points, clusters)
     camera = view.camera.resized(photo.shape[2], photo.shape[1])
     _, depth = camera.project(points[shown])
     return shown, np.stack([_log_luma(photo[:3, row, column]),

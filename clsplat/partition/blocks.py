@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from clsplat.camera import turned
+from clsplat.covisibility.clusters import Clusters
 from clsplat.covisibility.source_views import visibility
 from clsplat.gaussians import Gaussians
 from clsplat.partition.region import in_parts, world_of
@@ -43,8 +43,7 @@ MOST_COUNTED = 20_000  # gaussians for which shares are counted
 MOST_BOUNDED = 200_000  # gaussians of a block by which windows are found
 
 SIZED_TOGETHER = 1 << 20  # gaussians whose sizes a thread finds in all views
-CLUSTER = 256  # points that a view is compared with together
-ROUNDING = 1e-6  # of the lengths compared: a cluster is never missed by it
+
 
 Window = tuple[int, int, int, int]  # left, top, right, bottom, pixels
 
@@ -140,44 +139,6 @@ def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, mo
     rows = {name: np.concatenate([values, dense.rows[name][added]])
             for name, values in start.gaussians.rows.items()}
     return replace(start, gaussians=Gaussians(rows, start.gaussians.sh_degree), dense=len(added))
-
-
-class Clusters:
-    """Equal numbers of points that lie close together, with spheres around them.
-
-    `positions` : [N, 3]; those that are not finite are in no view; `reach` : [N], how far each of
-    the points extends; `order` : int[N], the points in the order of their clusters."""
-
-    def __init__(self, positions: NDArray[np.floating], reach: NDArray[np.floating]) -> None:
-        count = len(positions)
-        finite = np.isfinite(positions).all(axis=1, keepdims=True)
-        self.order = scipy.spatial.cKDTree(np.where(finite, positions, 0), CLUSTER,
-                                           compact_nodes=False).indices
-        self._cluster, starts = np.arange(count) // CLUSTER, np.arange(0, count, CLUSTER)
-        packed = np.where(finite, positions, np.nan)[self.order]
-        low, high = (end.reduceat(packed, starts) if count else packed
-                     for end in (np.fmin, np.fmax))
-        self._centres = (low.astype(np.float64) + high) / 2
-        self._radii = np.linalg.norm(high - low, axis=1) / 2
-        self._reaches = np.maximum.reduceat(reach[self.order], starts) if count else reach
-
-    def near_view(self, camera: Camera, near: float, beside: float = 0.0) -> NDArray[np.integer]:
-        """The places in `order` of points that a view may show; all others it certainly does not.
-
-        `camera` : a pinhole, in the frame of the points; `near` : depth of the near plane; `beside`
-        : pixels outside of the image that count, too."""
-        centres = turned(camera.rotation, self._centres) + camera.translation[:, None]
-        (fx, fy), (cx, cy) = camera.focal, camera.centre
-        sides = np.array([(fx, 0, beside + cx), (-fx, 0, beside + camera.width - cx),
-                          (0, fy, beside + cy), (0, -fy, beside + camera.height - cy)])
-        # a point at the pixel u = fx x / z + cx reaches the image if u > -max(fx, fy) reach / z
-        inside = np.einsum("ij,jn->in", sides, centres) + max(fx, fy) * self._reaches
-        inside += np.linalg.norm(sides, axis=1)[:, None] * self._radii
-        rounding = ROUNDING * np.einsum("ij,jn->in", abs(sides), abs(centres))
-        shown = (inside > -rounding).all(axis=0)
-        shown &= centres[2] + self._radii > near - ROUNDING * abs(centres[2])
-        found: NDArray[np.integer] = np.flatnonzero(shown[self._cluster])
-        return found
 
 
 def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floating],

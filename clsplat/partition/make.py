@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
+from clsplat.covisibility.clusters import Clusters
 from clsplat.covisibility.source_views import visibility
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.partition import region as geometry
-from clsplat.partition.blocks import Clusters
 from clsplat.partition.options import PartitionOptions
 from clsplat.partition.region import CONTENT_QUANTILES, Cells, Partition, Region, Space, quantiles
 from clsplat.scene import Scene
@@ -247,7 +247,7 @@ def _visible_cells(data: _Input, owner: NDArray[np.integer]) -> Iterator[NDArray
     the cell of each content, -1 for none."""
     chosen = slice(None, None, max(1, -(-len(owner) // MOST_SOUGHT)))
     places, owner = (data.content[chosen] - data.scene.offset) / data.scene.unit, owner[chosen]
-    clusters = Clusters(places, np.zeros(len(places)))
+    clusters = Clusters(places)
     places, owner = places[clusters.order], owner[clusters.order]
     for index in data.views:
         camera = data.scene.views[index].camera

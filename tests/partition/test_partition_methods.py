@@ -7,8 +7,9 @@ import pytest
 from scipy.special import softmax
 
 from clsplat.camera import Camera
+from clsplat.covisibility import clusters
 from clsplat.gaussians import Gaussians
-from clsplat.partition import blocks, make
+from clsplat.partition import make
 from clsplat.partition.make import _filled, choose_grid
 from clsplat.partition.region import Space
 from tests.data.fields import SIDES, cut, field, world
@@ -84,7 +85,7 @@ def test_citygs_divides_a_uniform_field_evenly():
 
 
 def test_citygs_assigns_a_view_to_the_cell_of_its_camera_and_to_cells_it_shows(monkeypatch):
-    monkeypatch.setattr(blocks, "CLUSTER", 1)  # nothing is compared by chance
+    monkeypatch.setattr(clusters, "CLUSTER", 1)  # nothing is compared by chance
     scene = field(tracks=False)
     gaussians = gaussians_at(scene.points)
     calls = []

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
+from clsplat.covisibility.clusters import CLUSTER, Clusters
 from clsplat.partition import blocks
 from clsplat.scene import View
 
@@ -26,10 +27,10 @@ def strewn(count, seed=0):
 
 
 @pytest.mark.parametrize("count",
-                         [0, 1, 2, blocks.CLUSTER, blocks.CLUSTER + 1, 40 * blocks.CLUSTER + 7])
+                         [0, 1, 2, CLUSTER, CLUSTER + 1, 40 * CLUSTER + 7])
 def test_no_view_misses_a_point(count):
     positions, deviations = strewn(count)
-    clusters = blocks.Clusters(positions, blocks.VISIBLE_DEVIATIONS * deviations)
+    clusters = Clusters(positions, blocks.VISIBLE_DEVIATIONS * deviations)
     assert np.array_equal(np.sort(clusters.order), np.arange(count))
     for camera in cameras(30):
         for near, beside in ((0.01, 0), (5.0, 0), (0.01, 7)):
@@ -43,8 +44,8 @@ def test_no_view_misses_a_point(count):
 
 
 def test_a_view_is_compared_with_few():
-    positions, _ = strewn(100 * blocks.CLUSTER)
-    clusters = blocks.Clusters(positions, np.full(len(positions), 0.01))
+    positions, _ = strewn(100 * CLUSTER)
+    clusters = Clusters(positions, np.full(len(positions), 0.01))
     for camera in cameras(10):
         below = camera.position * (1, 1, 0)
         camera = Camera.looking_at(below, below + (0.1, 0.1, 20), width=64, height=40)
@@ -53,7 +54,7 @@ def test_a_view_is_compared_with_few():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_points_that_are_not_finite_hide_no_others(value):
-    positions, deviations = strewn(4 * blocks.CLUSTER)
+    positions, deviations = strewn(4 * CLUSTER)
     positions[::50, 0] = value
     for camera in cameras(10):
         with np.errstate(invalid="ignore"):
