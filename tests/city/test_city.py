@@ -105,7 +105,7 @@ def test_large_blocks_have_the_gpu_to_themselves(tmp_path, monkeypatch):
     assert chosen({"grid": (3, 1)}).workers == 3
     assert chosen({}).workers == 1 and chosen({}).blocks == 1
     assert chosen({"grid": (2, 2)}, 2**36, 1).workers == 1
-    assert chosen({"grid": (3, 3)}, 2**36, None, 2).workers == 8
+    assert chosen({"grid": (3, 3)}, 2**36, None, 2).workers == 6, "8 take as many rounds"
     assert chosen({}, 2**36, None, 2).least_blocks == 2, "one for each device"
     small = chosen({}, 2**22)  # a device that is full with one block
     assert small.blocks > 1 and small.workers == 1
