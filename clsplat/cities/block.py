@@ -13,7 +13,7 @@ from clsplat.cities.workers import Outcome, Workers
 from clsplat.config.option import differences
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted, OutOfDeviceMemory, StopTraining
-from clsplat.io.runs.city import DENSE, BlockFolder, CityFolder, Stage
+from clsplat.io.runs.city import DENSE, BlockFolder, CityFolder, StageTime
 from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.write import DEPTH
 from clsplat.options import TrainOptions, checked_values, resolve
@@ -177,7 +177,7 @@ def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Show
             shown.line(f"{title(job)}: training in blocks/{job.block.path.name}")
 
     def ended(outcome: Outcome) -> None:
-        city.add_stage(Stage(outcome.job.name, outcome.worker, time.time() - outcome.seconds,
+        city.add_stage(StageTime(outcome.job.name, outcome.worker, time.time() - outcome.seconds,
                              outcome.seconds))
         shown.line(f"{title(outcome.job)} (blocks/{outcome.job.block.path.name}): "
                    f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")

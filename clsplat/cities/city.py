@@ -20,7 +20,7 @@ from clsplat.io.folders import make_folder
 from clsplat.io.models.ply import read_ply
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
-from clsplat.io.runs.city import CityFolder, Stage
+from clsplat.io.runs.city import CityFolder, StageTime
 from clsplat.io.runs.origin import recorded_scene, scene_record
 from clsplat.io.runs.run import CITY, RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
@@ -59,7 +59,7 @@ def timed(folder: CityFolder, name: str) -> Iterator[None]:
     began = time.time()
     yield
     if (seconds := time.time() - began) > LEAST_SECONDS:
-        folder.add_stage(Stage(name, HERE, began, seconds))
+        folder.add_stage(StageTime(name, HERE, began, seconds))
 
 
 @dataclass(frozen=True, eq=False)

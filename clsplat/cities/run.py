@@ -23,7 +23,7 @@ from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted
 from clsplat.estimate.forecast import Forecast
 from clsplat.gaussians import LEARNED
-from clsplat.io.runs.city import CityFolder, Stage
+from clsplat.io.runs.city import CityFolder, StageTime
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import SceneOptions, ScheduledOptions, TrainOptions, bytes_of
 from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, LEAST_GAUSSIANS, PartitionOptions
@@ -112,7 +112,7 @@ def city(scene: Scene, options: TrainOptions, output: Path, *,
                 train_coarse(whole, progress, cutting.joint_steps > 0)
             with shown.stage("start of blocks") as progress:
                 if found := all_.end(search):
-                    folder.add_stage(Stage("dense points", found[1], *found[0]))
+                    folder.add_stage(StageTime("dense points", found[1], *found[0]))
                 else:  # there is no other process, or it failed, which this one may explain
                     with timed(folder, "dense points"):
                         find_dense_gaussians(whole, progress)

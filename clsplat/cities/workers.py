@@ -156,8 +156,9 @@ class Workers(AbstractContextManager["Workers"]):
             f"it waits for {awaited(job)}")) for job in jobs]
 
     def begin(self, job: Job) -> Future[Any] | None:
-        """Begin a job beside what this process does, see `end`; None: there is no other one."""
-        if not self.several or job.is_done:
+        """Begin a job beside what this process does on the first device, see `end`; None: there is
+        no process with another one."""
+        if job.is_done or not (self.scheduler or self.several and len(set(self.devices)) > 1):
             return None
         make_folder(job.folder)
         future: Future[Any] = self._opened(_InProcess).submit(job)

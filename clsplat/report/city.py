@@ -5,7 +5,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from clsplat.io.runs.city import PICTURE, CityFolder, Stage
+from clsplat.io.runs.city import PICTURE, CityFolder, StageTime
 from clsplat.report.page import Table, embedded
 from clsplat.report.scores import Record
 
@@ -29,9 +29,9 @@ def city_sections(folder: Path, records: Sequence[Record]) -> list[Table | str]:
             *([seam_table(last["seams"])] if last.get("seams", {}).get("borders") else [])]
 
 
-def time_line(stages: Sequence[Stage]) -> str:
+def time_line(stages: Sequence[StageTime]) -> str:
     """HTML of which stages each worker did, and when; "" without any."""
-    rows, end, paused = dict[str, list[list[Stage]]](), 0.0, 0.0
+    rows, end, paused = dict[str, list[list[StageTime]]](), 0.0, 0.0
     for stage in sorted(stages, key=lambda stage: stage.began):
         paused += max(0.0, stage.began - end - LONGEST_PAUSE) if end else 0.0
         end = max(end, stage.began + stage.seconds)
@@ -46,7 +46,7 @@ def time_line(stages: Sequence[Stage]) -> str:
     first = min(row[0].began for of_worker in rows.values() for row in of_worker)
     total = max(1e-9, end - paused - first)
 
-    def bar(stage: Stage) -> str:
+    def bar(stage: StageTime) -> str:
         text = escape(f"{stage.name}: {stage.seconds:,.1f} s")
         return (f'<i style="left: {100 * (stage.began - first) / total:.2f}%; '
                 f'width: {100 * stage.seconds / total:.2f}%" title="{text}">{text}</i>')

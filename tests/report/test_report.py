@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from clsplat.io.runs.city import Stage
+from clsplat.io.runs.city import StageTime
 from clsplat.io.runs.run import RunFolder
 from clsplat.report import run as run_page
 from clsplat.report import scores
@@ -322,9 +322,10 @@ def test_the_browser_draws_every_panel(tmp_path):
 
 def test_stages_of_a_city_are_shown_when_and_where_they_were_done():
     assert time_line([]) == ""
-    stages = [Stage("coarse <run>", "here", 1000.0, 10.0), Stage("000", "here, 0", 1010.0, 20.0),
-              Stage("001", "here, 0", 1015.0, 5.0), Stage("002", "here, 0", 1020.0, 15.0),
-              Stage("merge", "here", 5030.0, 5.0)]  # by a later command
+    stages = [StageTime(*each) for each in (
+        ("coarse <run>", "here", 1000.0, 10.0), ("000", "here, 0", 1010.0, 20.0),
+        ("001", "here, 0", 1015.0, 5.0), ("002", "here, 0", 1020.0, 15.0),
+        ("merge", "here", 5030.0, 5.0))]  # by a later command
     html = time_line(stages)
     bars = re.findall(r"<i style=\"left: ([\d.]+)%; width: ([\d.]+)%\" title=\"([^:]*):", html)
     found = {name: (float(left) / 2, float(width) / 2) for left, width, name in bars}  # of 50 s

@@ -41,7 +41,7 @@ INITIAL = "initial.ply"
 STAGES = "stages.jsonl"  # when each stage of a city was done
 
 
-class Stage(NamedTuple):
+class StageTime(NamedTuple):
     """A stage of a city that was done: what and where, when it began, in seconds since 1970, and
     how many it took."""
 
@@ -102,19 +102,19 @@ class CityFolder:
             raise InputError(f"{self.path}: holds {foreign[-1]}, but no city ({CITY} is missing); "
                              "choose another --output")
 
-    def add_stage(self, stage: Stage) -> None:
+    def add_stage(self, stage: StageTime) -> None:
         """Append a stage to those that were done."""
         with open(self.path / STAGES, "a", encoding="utf-8") as file:
             file.write(json.dumps(stage._asdict()) + "\n")
 
-    def stages(self) -> list[Stage]:
+    def stages(self) -> list[StageTime]:
         """The stages that were done, in the order of their ends; without damaged lines, as nothing
         depends on them."""
         path, found = self.path / STAGES, []
         for line in read_regular(path).splitlines() if path.is_file() else ():
             with suppress(ValueError, TypeError):
                 record = object_of(line)
-                found.append(Stage(str(record["name"]), str(record["worker"]),
+                found.append(StageTime(str(record["name"]), str(record["worker"]),
                                    number(record["began"], "began"),
                                    number(record["seconds"], "seconds")))
         return found
