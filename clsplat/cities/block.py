@@ -144,6 +144,8 @@ def train_block(block: BlockFolder, device: Device | None = None,
                 if lacking := lacking_blocks(others, done):
                     return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}"
                             f"{' ...' * (len(lacking) > MOST_NAMED)} too, then this block again")
+                if progress:
+                    progress.phase("exchanging gaussians with other blocks")
                 begins = exchange(block, scene, others, options, done)
             if alone or done == len(exchanges):
                 go_on(0, begins)
@@ -177,8 +179,9 @@ def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Show
             shown.line(f"{title(job)}: training in blocks/{job.block.path.name}")
 
     def ended(outcome: Outcome) -> None:
-        city.add_stage(StageTime(outcome.job.name, outcome.worker, time.time() - outcome.seconds,
-                             outcome.seconds))
+        name = outcome.job.name + ("" if outcome.ok else ", failed")
+        city.add_stage(StageTime(name, outcome.worker, time.time() - outcome.seconds,
+                                 outcome.seconds))
         shown.line(f"{title(outcome.job)} (blocks/{outcome.job.block.path.name}): "
                    f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
 
