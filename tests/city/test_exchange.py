@@ -22,7 +22,7 @@ from clsplat.io.records import write_object
 from clsplat.io.runs.city import BLOCK, EXCHANGES, OTHERS, BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
-from clsplat.partition.blocks import block_start, trainable
+from clsplat.partition.blocks import Choice, block_start, trainable
 from clsplat.partition.region import Partition, Region, Space, world_of
 from clsplat.training.checkpoint import Checkpoint
 from tests.data.tiny_training import CITY, model_digest
@@ -77,6 +77,7 @@ def test_a_block_goes_on_from_what_others_own(city):
     before = read_npz(block.exchanged(1))
     after, state = exchange.exchange(block, own, exchange.other_blocks(block),
                                      block_options(block), 1)
+    assert not {"frozen.rows", "adam.last_step"} & set(before)
     assert set(after) == {*before, "frozen.rows", "adam.last_step"} - {"state.json"}
     scene = read_scene(block.path).reduced(8.0, 10_000).normalised()
     other = read_scene(city.block(1).path).normalised()
@@ -98,6 +99,66 @@ def test_a_block_goes_on_from_what_others_own(city):
     frozen = after["frozen.rows"] > 0
     trains = trainable(scene, own.region, after["row.positions"], after["row.log_scales"])
     assert np.array_equal(frozen, ~trains) and 0 < frozen[count:].sum() < len(row)
+
+
+@pytest.mark.slow
+def test_at_an_exchange_the_file_takes_the_place_of_the_checkpoint(city):
+    block, own = city.block(0), BlockScene.read(city.block(0))
+    before, file = read_npz(block.exchanged(1)), block.run / "checkpoint.npz"
+    arrays, state = exchange.exchange(block, own, exchange.other_blocks(block),
+                                      block_options(block), 1)
+    for number, step in ((1, AT - 1), (0, AT)):  # before it, and to the end
+        run = exchange.BlockRun(block, own, number)
+        run.save_checkpoint(arrays, {**state, "iteration": step})
+        assert run.checkpoint_iteration() == step and file.exists()
+    average = {"average.samples": np.array(1)}  # of rows that go
+    exchange.BlockRun(block, own, 1).save_checkpoint({**arrays, **average}, state)
+    assert not file.exists()
+    after = read_npz(block.exchanged(1))
+    assert set(after) == set(before)
+    assert all(np.array_equal(after[name], values) for name, values in before.items()
+               if name != "state.json")
+    run = exchange.BlockRun(block, own, 0, (arrays, state))
+    assert run.has_checkpoint and run.load_checkpoint()[0] is arrays and not run.has_checkpoint
+
+
+def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
+    """Of three others, of which the first is held as a whole and the last is far away."""
+    rng = np.random.default_rng(0)
+
+    def rows(count):
+        found = {f"{kind}.{name}": rng.random((count, 3)).astype(np.float32)
+                 for kind in exchange.KINDS for name in ("positions", "log_scales")}
+        return {**found, "statistics.seen_count": np.arange(count, dtype=np.uint32)}
+
+    own, others, read = rows(4), [rows(2), rows(5), rows(3)], []
+    indices, reached = np.array([0, 1, 3, 5, 6, 8, 9]), np.array([0, 1, 0, 0, 1, 0, 0], bool)
+    scales = rng.random((7, 3)).astype(np.float32)
+
+    def owned(number, _, record, wanted):
+        read.append((number, *wanted))
+        return {name: values for name, values in others[number].items()
+                if name in (*wanted, "statistics.seen_count")
+                or name.partition(".")[0] in wanted}, None
+
+    def choose(positions, log_scales, *_):
+        assert np.array_equal(positions, np.concatenate([o["row.positions"] for o in others]))
+        assert np.array_equal(log_scales, np.concatenate([o["row.log_scales"] for o in others]))
+        return Choice(indices, scales, reached, reached)
+
+    monkeypatch.setattr(exchange, "_owned", owned)
+    monkeypatch.setattr(exchange, "_in_frame_of", lambda scene, arrays, frame: arrays)
+    monkeypatch.setattr(exchange, "choose_gaussians", choose)
+    found = exchange._with_others(dict(own), [0, 1, 2], 1, {}, SimpleNamespace(views=()), None)
+    for name, values in own.items():
+        taken = np.concatenate([values, *(other[name] for other in others)])[
+            [*range(4), *(4 + indices)]]
+        if name == "row.log_scales":
+            taken[4:] = scales
+        elif name.startswith(("m.", "v.")):
+            taken[4 + 5:] = 0  # nothing of the last one is trained
+        assert np.array_equal(found[name], taken), name
+    assert (2, "row") in read and not {(2, "m"), (2, "v")} & set(read)
 
 
 @pytest.mark.slow

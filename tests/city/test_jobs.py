@@ -77,6 +77,8 @@ def test_a_job_runs_beside_what_this_process_does(tmp_path):
                           enumerate(some_jobs(tmp_path, 3)))
     with Workers(1) as workers:  # there is no other process
         assert workers.begin(works) is None and workers.end(None) is None
+    with Workers(2, devices=("0", "0")) as workers:  # nor one with another device
+        assert workers.begin(works) is None
     with Workers(2, devices=("0", "1")) as workers:
         begun = [workers.begin(works), workers.begin(fails)]
         assert workers.end(begun[0]) == (1, f"{HERE}, device 1")
