@@ -16,6 +16,7 @@ from clsplat.cities.city import City
 from clsplat.cities.exchange import exchange_steps, most_exchanges
 from clsplat.config.option import differences, plain
 from clsplat.device import Array, Device
+from clsplat.device.host import host_memory
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
@@ -26,7 +27,6 @@ from clsplat.io.runs.city import DENSE, EXCHANGES, OTHERS, PARTITION, CityFolder
 from clsplat.io.runs.run import read_exposures
 from clsplat.io.scenes.write import link_again
 from clsplat.loss.image_loss import image_loss, loss_value
-from clsplat.optimise.page_store import host_memory
 from clsplat.options import LEAST_BYTES, bytes_of
 from clsplat.partition.blocks import block_start, filled, find_windows, owned_shares
 from clsplat.partition.make import make_partition

@@ -31,16 +31,16 @@ from clsplat.options import SceneOptions
 from clsplat.partition.blocks import choose_gaussians, trainable
 from clsplat.partition.region import Region, world_of
 from clsplat.scene import Scene
-from clsplat.training.checkpoint import Arrays, Saved, check_arrays
+from clsplat.training.checkpoint import BY_GAUSSIAN, Arrays, Saved, check_arrays
 from clsplat.training.parts.average import Average
 from clsplat.training.recorder import LOG_EVERY
 
-KINDS = "row", "m", "v"  # of arrays with a row a gaussian, besides statistics
 REPLACED = "frozen.rows", "adam.last_step"  # arrays that are new after an exchange
 TRAINING = "training"  # key of these files: the state in a checkpoint
 STATISTICS = ("statistics.grad_norm_sum", "statistics.seen_count")
 SCALES = "row.log_scales"
-PLACES = ("row.positions", "row.anchors")
+POSITIONS = "row.positions"
+PLACES = (POSITIONS, "row.anchors")
 # arrays of what is owned -> power of a length; gradients by positions have one over a length
 LENGTHS = {"row.max_offsets": 1, "m.positions": -1, "v.positions": -2}
 READ_TOGETHER = 4  # files, so that not all of them are in memory
@@ -95,7 +95,7 @@ class BlockRun(RunFolder):
             super().save_checkpoint(arrays, state)
             return
         scene, record = self._own.scene.normalised(), self._block.read()
-        owned = np.flatnonzero(self._own.region.owns(world_of(scene, arrays["row.positions"])))
+        owned = np.flatnonzero(self._own.region.owns(world_of(scene, arrays[POSITIONS])))
         kept = {name: values[owned] if _is_by_gaussian(name) else values
                 for name, values in arrays.items()
                 if name not in REPLACED and not name.startswith(f"{Average.name}.")}
@@ -150,7 +150,7 @@ def exchange(block: BlockFolder, own: BlockScene, others: Sequence[BlockFolder],
         rows = _longer(rows, int(beyond.sum()))
         for name, values in start.rows.items():
             rows[f"row.{name}"][first:] = values[beyond]
-    trains, state = trainable(scene, own.region, rows[PLACES[0]], rows[SCALES]), frame[TRAINING]
+    trains, state = trainable(scene, own.region, rows[POSITIONS], rows[SCALES]), frame[TRAINING]
     return {**arrays, **rows, "frozen.rows": (~trains).astype(np.uint32),
             "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
 
@@ -159,7 +159,7 @@ def _with_others(rows: Arrays, others: Sequence[BlockFolder], number: int, recor
                  scene: Scene, region: Region) -> Arrays:
     """What a block owns, and behind that what it holds of others, in the frame of its scene."""
     def places(other: BlockFolder) -> Arrays:
-        return _in_frame_of(scene, *_owned(other, number, record, (PLACES[0], SCALES)))
+        return _in_frame_of(scene, *_owned(other, number, record, (POSITIONS, SCALES)))
 
     def take(other: BlockFolder, kind: str, of_other: NDArray[np.integer], begin: int) -> None:
         found, frame = _owned(other, number, record, [kind])
@@ -171,14 +171,14 @@ def _with_others(rows: Arrays, others: Sequence[BlockFolder], number: int, recor
         there = list(threads.map(places, others))
         before = np.cumsum([0, *(len(each[SCALES]) for each in there)])
         positions, scales = (np.concatenate([each.pop(name) for each in there])
-                             for name in (PLACES[0], SCALES))
+                             for name in (POSITIONS, SCALES))
         chosen = choose_gaussians(positions, scales, scene, region, scene.views)
         first, longer = len(rows[SCALES]), _longer(rows, len(chosen.indices))
         ends = np.searchsorted(chosen.indices, before).tolist()
         jobs = [(other, kind, chosen.indices[begin:end] - skipped, first + begin)
                 for other, skipped, begin, end in zip(others, before, ends, ends[1:])
                 # none is trained where none is reached
-                for kind in (KINDS if chosen.reached[begin:end].any() else KINDS[:1])]
+                for kind in (BY_GAUSSIAN if chosen.reached[begin:end].any() else BY_GAUSSIAN[:1])]
         for _ in threads.map(lambda job: take(*job), jobs):
             pass  # an error is raised here
     longer[SCALES][first:] = chosen.log_scales  # of which some are thinned
@@ -210,9 +210,10 @@ def _owned(block: BlockFolder, number: int, record: dict[str, Any], wanted: Coll
                           or name.partition(".")[0] in wanted)
         frame = object_of(arrays.pop(STATE).tobytes())
         check_arrays(arrays, record["options"]["sh_degree"],
-                     [kind for kind in KINDS if kind in wanted or not wanted])
+                     [kind for kind in BY_GAUSSIAN if kind in wanted or not wanted])
         if not (frame["unit"] > 0 and np.shape(frame["offset"]) == (3,)
-                and frame[TRAINING]["iteration"] > 0 and set(wanted) - {*KINDS} <= set(arrays)):
+                and frame[TRAINING]["iteration"] > 0
+                and set(wanted) - {*BY_GAUSSIAN} <= set(arrays)):
             raise ValueError("its frame is none, or it lacks places")
     if (frame.get(CITY), frame.get(START)) != (record[CITY], block.start()):
         raise InputError(f"{path}: of another city, block or partition than {block.path}; {cure}")
@@ -236,4 +237,4 @@ def _in_frame_of(scene: Scene, owned: Arrays, frame: dict[str, Any]) -> Arrays:
 
 def _is_by_gaussian(name: str) -> bool:
     """Whether an array of a checkpoint, which exchanges contain too, has a row a gaussian."""
-    return name.partition(".")[0] in KINDS or name in STATISTICS
+    return name.partition(".")[0] in BY_GAUSSIAN or name in STATISTICS

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.constants import PAGE_ROWS
+from clsplat.device.host import host_memory
 from clsplat.errors import InputError, reason
 
 HOST_SHARE = 0.5  # of the host's memory that pages may take
@@ -198,16 +198,6 @@ class PageStore:
 
 def _words(number: int) -> Words:
     return np.empty(number, np.uint32)
-
-
-def host_memory() -> float:
-    """Bytes of memory of this computer, as far as that can be known."""
-    if sys.platform == "win32":
-        return math.inf
-    try:
-        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (ValueError, OSError):
-        return math.inf
 
 
 def spatial_order(positions: NDArray[np.floating]) -> NDArray[np.uint32]:

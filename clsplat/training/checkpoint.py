@@ -21,7 +21,8 @@ from clsplat.training.session import Session
 Arrays = dict[str, NDArray[Any]]
 Saved = tuple[Arrays, dict[str, Any]]  # the arrays and the state
 
-KINDS = "row", "m", "v", "adam", "statistics"  # of the arrays that no part has
+BY_GAUSSIAN = "row", "m", "v"  # kinds of the arrays with a row a gaussian, besides statistics
+KINDS = *BY_GAUSSIAN, "adam", "statistics"  # of the arrays that no part has
 STATISTICS = "grad_norm_sum", "seen_count"
 REALS = (np.float32, np.float64)  # precisions of devices
 SAVED_A_SECOND = 1e9  # bytes
@@ -111,11 +112,12 @@ def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays) -> G
     """The gaussians in the arrays of a run's checkpoint, in the units of training; `record` is
     option -> value. InputError if the checkpoint or the options are damaged."""
     try:
-        return gaussians_of(
-            arrays, checked(TrainOptions, str(run.path / OPTIONS), "sh_degree",
-                            record["sh_degree"]))
+        degree = checked(TrainOptions, str(run.path / OPTIONS), "sh_degree", record["sh_degree"])
+        check_arrays(arrays, degree)
     except (KeyError, ValueError) as error:
         raise damaged(run, error) from None
+    carried = [field for field in FIELDS if f"row.{field.name}" in arrays]
+    return Gaussians(_fields(arrays, "row", carried), degree)
 
 
 def damaged(run: RunFolder, error: Exception) -> InputError:
@@ -138,15 +140,7 @@ def latest_model(run: RunFolder) -> Gaussians:
                          "overwrite=True") from None
 
 
-def gaussians_of(arrays: Arrays, sh_degree: int) -> Gaussians:
-    """The gaussians in the arrays of a checkpoint, whose moments and statistics are checked too;
-    see `check_arrays`."""
-    check_arrays(arrays, sh_degree)
-    carried = [field for field in FIELDS if f"row.{field.name}" in arrays]
-    return Gaussians(_fields(arrays, "row", carried), sh_degree)
-
-
-def check_arrays(arrays: Arrays, sh_degree: int, kinds: Collection[str] = ("row", "m", "v")
+def check_arrays(arrays: Arrays, sh_degree: int, kinds: Collection[str] = BY_GAUSSIAN
                  ) -> None:
     """Check arrays of a checkpoint that have a row a gaussian: KeyError names one of these kinds
     that is missing, ValueError one that does not fit. Statistics tell how many there are."""

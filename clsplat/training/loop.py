@@ -120,10 +120,10 @@ def train_or_resume(scene: Scene, options: TrainOptions, device: Device, run: Ru
                     progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
                     parts: Iterable[Part] = ()) -> None:
     """Resume a run if it was begun, else train it in a new folder; arguments as for `train`."""
-    start = resume if run.is_begun else train
-    if start is train:
+    begun = run.is_begun
+    if not begun:
         run.begin_new()
-    start(scene, options, device, run, progress, callbacks, parts=parts)
+    (resume if begun else train)(scene, options, device, run, progress, callbacks, parts=parts)
 
 
 class Training:

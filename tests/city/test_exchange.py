@@ -128,7 +128,7 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
 
     def rows(count):
         found = {f"{kind}.{name}": rng.random((count, 3)).astype(np.float32)
-                 for kind in exchange.KINDS for name in ("positions", "log_scales")}
+                 for kind in exchange.BY_GAUSSIAN for name in ("positions", "log_scales")}
         return {**found, "statistics.seen_count": np.arange(count, dtype=np.uint32)}
 
     own, others, read = rows(4), [rows(2), rows(5), rows(3)], []

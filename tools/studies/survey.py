@@ -21,7 +21,7 @@ from pathlib import Path
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.page import Table
-from tools.studies.study import flags_after, keep, keeps, markdown, outermost
+from tools.studies.study import cell, flags_after, keep, keeps, markdown, outermost
 
 TITLE = "Made surveys as cities"
 STAGES = ("coarse run", "dense points", "cut", "blocks", "merge", "evaluation")
@@ -125,14 +125,14 @@ def row_of(folder, photos, devices, schedule, record):
     cells = (
         f"{photos:,}", devices, schedule, f"{record['seconds']:.0f}",
         *(f"{spent[stage]:.0f}" if stages else "" for stage in STAGES),
-        number(last.get("eval", {}).get("psnr_cc"), ".2f"),
-        number(last.get("seams", {}).get("worst_seam_db"), ".2f"),
-        number((last.get("eval") or last["merge"])["gaussians"] / 1e6, ".1f"),
-        number(max(most(records, "gaussians") for records in each) / 1e6, ".1f"),
-        number(max(most(records, "peak_bytes") for records in each) / GIB, ".1f"),
-        number(sum(most(records, "train_seconds") for records in trainings), ".0f"),
+        cell(last.get("eval", {}).get("psnr_cc"), None, 2),
+        cell(last.get("seams", {}).get("worst_seam_db"), None, 2),
+        cell((last.get("eval") or last["merge"])["gaussians"] / 1e6, None, 1),
+        cell(max(most(records, "gaussians") for records in each) / 1e6, None, 1),
+        cell(max(most(records, "peak_bytes") for records in each) / GIB, None, 1),
+        cell(sum(most(records, "train_seconds") for records in trainings), None, 0),
         f"{sum(record['loads']) / len(record['loads']):.0f} %" if record["loads"] else "",
-        number(record["host"] / GIB, ".1f"), number(disk / 1e9, ".1f"))
+        cell(record["host"] / GIB, None, 1), cell(disk / 1e9, None, 1))
     print(*cells, sep="  ", flush=True)
     return cells
 
@@ -144,11 +144,6 @@ def covered(stages):
         total += max(0.0, stage.began + stage.seconds - max(end, stage.began))
         end = max(end, stage.began + stage.seconds)
     return total
-
-
-def number(value, form):
-    """A number as text; None is empty."""
-    return "" if value is None else format(value, form)
 
 
 def most(records, key):
