@@ -6,7 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from clsplat.cities.city import Shown
-from clsplat.cities.exchange import BlockRun, exchange, lacking_blocks, other_blocks
+from clsplat.cities.exchange import (
+    BlockRun,
+    exchange,
+    lacking_blocks,
+    other_blocks,
+    remove_passed,
+)
 from clsplat.cities.jobs import Job
 from clsplat.cities.scene import BlockScene
 from clsplat.cities.workers import Outcome, Workers
@@ -44,6 +50,11 @@ class BlockJob(Job):
     block: BlockFolder = BlockFolder("")
     until: int = 0
     alone: bool = False
+
+    @property
+    def is_done(self) -> bool:
+        """As in `Job`; also where the block has come to a later exchange."""
+        return super().is_done or 0 < self.until < self.block.last_exchange
 
     def run(self, device: Device, progress: SilentProgress | None = None,
             stopping: Callable[[], bool] = lambda: False) -> str:
@@ -133,8 +144,7 @@ def train_block(block: BlockFolder, device: Device | None = None,
         opened = device or choose_device(options.device, form=options.form)
         others = other_blocks(block) if exchanges and not alone else []
         scene = BlockScene.read(block)
-        done = max(filter(lambda number: block.exchanged(number).is_file(),
-                          range(1, len(exchanges) + 1)), default=0)
+        done = block.last_exchange
         while True:
             place = f"exchange {done} of {len(exchanges)}, after step {step_of(done)}"
             if until and done >= until:
@@ -152,6 +162,8 @@ def train_block(block: BlockFolder, device: Device | None = None,
                 return "finished"
             done += 1
             go_on(done, begins)
+            if others:
+                remove_passed(CityFolder(block.path.absolute().parents[1]).blocks())
 
 
 def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Shown | None = None,
@@ -209,7 +221,7 @@ def jobs_of(city: CityFolder, blocks: Sequence[BlockFolder]) -> Iterator[BlockJo
     stages = 1 + max((len(block.exchanges) for block in blocks), default=0)
     for stage in range(1, stages + 1):
         for block in blocks:
-            if stage == stages or block.exchanged(stage).exists() or not RunFolder(
+            if stage == stages or stage <= block.last_exchange or not RunFolder(
                     block.run).is_finished:
                 needed = [block, *map(city.block, block.others)] if stage > 1 else []
                 yield job_of(block, stage if stage < stages else 0, stages, tuple(

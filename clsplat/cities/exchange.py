@@ -8,7 +8,8 @@ the alternating method of Schwarz (1870) for domains that overlap; DOGS (Chen an
 the same aim with averages of what blocks share.
 
 What a block goes on from follows from these files alone, and each is written once: so a block that
-is killed during an exchange repeats it, and ends in the same bytes.
+is killed during an exchange repeats it, and ends in the same bytes. They are large, so those of an
+exchange are removed once all blocks have come to the next one.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -116,12 +117,23 @@ def other_blocks(block: BlockFolder) -> list[BlockFolder]:
 
 
 def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
-    """Names of those `other_blocks` without whose files a block cannot do the exchange `number`;
-    InputError if one is of another partition."""
+    """Names of those `other_blocks` that have not come to the exchange `number`; InputError if one
+    is of another partition."""
     for other in others:
         if other.is_there:
             other.check()
-    return [other.path.name for other in others if not other.exchanged(number).is_file()]
+    return [other.path.name for other in others if other.last_exchange < number]
+
+
+def remove_passed(blocks: Sequence[BlockFolder]) -> None:
+    """Remove the files of exchanges that no block of a city needs any more; the last one of each
+    block stays, for one that is trained again."""
+    needed = min((block.last_exchange for block in blocks
+                  if not RunFolder(block.run).has_model), default=0)
+    for block in blocks:
+        for number in block.exchanges_there()[:-1]:
+            if number < needed:
+                block.exchanged(number).unlink(missing_ok=True)
 
 
 def exchange(block: BlockFolder, own: BlockScene, others: Sequence[BlockFolder],
@@ -178,7 +190,8 @@ def _with_others(rows: Arrays, others: Sequence[BlockFolder], number: int, recor
         jobs = [(other, kind, chosen.indices[begin:end] - skipped, first + begin)
                 for other, skipped, begin, end in zip(others, before, ends, ends[1:])
                 # none is trained where none is reached
-                for kind in (BY_GAUSSIAN if chosen.reached[begin:end].any() else BY_GAUSSIAN[:1])]
+                for kind in (BY_GAUSSIAN if chosen.reached[begin:end].any() else BY_GAUSSIAN[:1])
+                if end > begin]
         for _ in threads.map(lambda job: take(*job), jobs):
             pass  # an error is raised here
     longer[SCALES][first:] = chosen.log_scales  # of which some are thinned
@@ -203,7 +216,9 @@ def _owned(block: BlockFolder, number: int, record: dict[str, Any], wanted: Coll
 
     `record` : of the block that reads it; `wanted` : kinds or names of the arrays that it reads,
     besides statistics; none: all that there are."""
-    path = block.exchanged(number)
+    # a block that is trained again finds others that have come farther
+    path = block.exchanged(min((there for there in block.exchanges_there() if there >= number),
+                               default=number))
     cure = f"remove {path.parent}, and train that block again"
     with reading(path, "what a block owned at an exchange", cure):
         arrays = read_npz(path, lambda name: not wanted or name in (STATE, *STATISTICS, *wanted)

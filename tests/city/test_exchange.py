@@ -123,7 +123,7 @@ def test_at_an_exchange_the_file_takes_the_place_of_the_checkpoint(city):
 
 
 def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
-    """Of three others, of which the first is held as a whole and the last is far away."""
+    """Of four others: the first is held as a whole, the third is far away, the last not held."""
     rng = np.random.default_rng(0)
 
     def rows(count):
@@ -131,7 +131,7 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
                  for kind in exchange.BY_GAUSSIAN for name in ("positions", "log_scales")}
         return {**found, "statistics.seen_count": np.arange(count, dtype=np.uint32)}
 
-    own, others, read = rows(4), [rows(2), rows(5), rows(3)], []
+    own, others, read = rows(4), [rows(2), rows(5), rows(3), rows(2)], []
     indices, reached = np.array([0, 1, 3, 5, 6, 8, 9]), np.array([0, 1, 0, 0, 1, 0, 0], bool)
     scales = rng.random((7, 3)).astype(np.float32)
 
@@ -149,7 +149,7 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
     monkeypatch.setattr(exchange, "_owned", owned)
     monkeypatch.setattr(exchange, "_in_frame_of", lambda scene, arrays, frame: arrays)
     monkeypatch.setattr(exchange, "choose_gaussians", choose)
-    found = exchange._with_others(dict(own), [0, 1, 2], 1, {}, SimpleNamespace(views=()), None)
+    found = exchange._with_others(dict(own), [0, 1, 2, 3], 1, {}, SimpleNamespace(views=()), None)
     for name, values in own.items():
         taken = np.concatenate([values, *(other[name] for other in others)])[
             [*range(4), *(4 + indices)]]
@@ -158,7 +158,7 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
         elif name.startswith(("m.", "v.")):
             taken[4 + 5:] = 0  # nothing of the last one is trained
         assert np.array_equal(found[name], taken), name
-    assert (2, "row") in read and not {(2, "m"), (2, "v")} & set(read)
+    assert (2, "row") in read and not {(2, "m"), (2, "v"), (3, "row")} & set(read)
 
 
 @pytest.mark.slow
@@ -224,6 +224,42 @@ def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
     assert all(np.array_equal(again[name], values) for name, values in content.items()
                if name != "state.json")  # which has seconds
     assert train_block(block) == "finished"
+
+
+def test_files_of_an_exchange_go_once_all_blocks_have_come_to_the_next(tmp_path):
+    blocks = [BlockFolder(tmp_path / f"00{n}") for n in range(3)]
+
+    def left(*come_to):
+        for block, number in zip(blocks, come_to):
+            block.run.mkdir(parents=True, exist_ok=True)
+            if number:
+                block.exchanged(number).touch()
+        exchange.remove_passed(blocks)
+        return [block.exchanges_there() for block in blocks]
+
+    assert left(1, 1, 0) == [[1], [1], []]
+    assert left(2, 0, 1) == [[1, 2], [1], [1]]
+    assert left(0, 2, 2) == [[2], [2], [2]]
+    (blocks[0].run / "point_cloud.ply").touch()  # finished, and needs none, but others need its own
+    assert left(0, 3, 0) == [[2], [2, 3], [2]]
+    assert left(0, 0, 3) == [[2], [3], [3]]
+    assert exchange.lacking_blocks(blocks, 3) == ["000"]
+    assert exchange.lacking_blocks(blocks[1:], 1) == []
+    job = training_block.BlockJob("a", blocks[1].run, block=blocks[1], until=2)
+    assert job.is_done and not replace(job, until=3).is_done and not replace(job, until=0).is_done
+
+
+@pytest.mark.slow
+def test_a_block_that_is_trained_again_takes_what_others_own_later(city):
+    block, other = city.block(0), city.block(1)
+    first = read_npz(other.exchanged(1))
+    assert train_block(block) == "finished"
+    shutil.rmtree(block.run)
+    other.exchanged(1).rename(other.exchanged(2))
+    assert train_block(block) == "finished"
+    assert block.exchanges_there() == [1] and other.exchanges_there() == [2]
+    model = RunFolder(block.run).load_model()
+    assert len(model.positions) > len(first["row.positions"])
 
 
 @pytest.mark.slow

@@ -216,6 +216,16 @@ class BlockFolder:
         """The file of what the block owns at the exchange of this number, from 1."""
         return self.run / f"exchange_{number}.npz"
 
+    def exchanges_there(self) -> list[int]:
+        """Numbers of the exchanges whose files are there, ascending."""
+        numbers = (path.stem.removeprefix("exchange_") for path in self.run.glob("exchange_*.npz"))
+        return sorted(int(number) for number in numbers if number.isdecimal())
+
+    @property
+    def last_exchange(self) -> int:
+        """The number of the last exchange to which the block has come; 0: none."""
+        return max(self.exchanges_there(), default=0)
+
     def start(self) -> str:
         """SHA-256 of `initial` as it was written, which names the block in its models and
         exchanges; "" where neither that nor the file is there."""
