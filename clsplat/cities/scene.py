@@ -89,17 +89,18 @@ class FrozenRows(Stage):
     def rows_changed(self, model: Model, growth: Growth | None) -> None:
         """Freeze rows that are new; without growth those that have left what the block trains, as
         frozen ones have not moved."""
-        frozen, moved = np.zeros(model.count, bool), np.ones(model.count, bool)
-        if model.frozen is not None and growth is not None:
-            frozen[:growth.unchanged] = model.frozen.download()[
-                growth.source[:growth.unchanged]] > 0
-            moved[:growth.unchanged] = False
-        elif model.frozen is not None:
-            frozen = model.frozen.download() > 0
-            moved = ~frozen
-        positions, log_scales = (model.rows[name].download()[moved]
+        frozen, first = np.zeros(model.count, bool), 0
+        if model.frozen is not None:
+            before = model.frozen.download() > 0
+            if growth is None:
+                frozen = before
+            else:
+                first = growth.unchanged
+                frozen[:first] = before[growth.source[:first]]
+        moved = ~frozen[first:]
+        positions, log_scales = (model.rows[name].download(first)[moved]
                                  for name in ("positions", "log_scales"))
-        frozen[moved] = ~trainable(self._scene, self.region, positions, log_scales)
+        frozen[first:][moved] = ~trainable(self._scene, self.region, positions, log_scales)
         model.frozen = model.device.upload(frozen.astype(np.uint32))
         self._model = model
 

@@ -30,7 +30,7 @@ class Clusters:
         finite = np.isfinite(positions).all(axis=1, keepdims=True)
         self.order = scipy.spatial.cKDTree(np.where(finite, positions, 0), CLUSTER,
                                            compact_nodes=False).indices
-        self._cluster, starts = np.arange(count) // CLUSTER, np.arange(0, count, CLUSTER)
+        self._count, starts = count, np.arange(0, count, CLUSTER)
         packed = np.where(finite, positions, np.nan)[self.order]
         low, high = (end.reduceat(packed, starts) if count else packed
                      for end in (np.fmin, np.fmax))
@@ -53,5 +53,6 @@ class Clusters:
         rounding = ROUNDING * np.einsum("ij,jn->in", abs(sides), abs(centres))
         shown = (inside > -rounding).all(axis=0)
         shown &= centres[2] + self._radii > near - ROUNDING * abs(centres[2])
-        found: NDArray[np.integer] = np.flatnonzero(shown[self._cluster])
+        rows = (np.flatnonzero(shown)[:, None] * CLUSTER + np.arange(CLUSTER)).ravel()
+        found: NDArray[np.integer] = rows[:np.searchsorted(rows, self._count)]  # the last has fewer
         return found

@@ -84,12 +84,14 @@ class Array:
             cl.enqueue_copy(self.device.queue, copy.buffer, self.buffer, byte_count=self.nbytes)
         return copy
 
-    def download(self) -> NDArray[Any]:
-        """A numpy copy; waits for everything queued before."""
-        host = np.empty(self.shape, self.dtype)
+    def download(self, first_row: int = 0) -> NDArray[Any]:
+        """A numpy copy of the rows from `first_row` on; waits for everything queued before."""
+        host = np.empty((self.shape[0] - first_row, *self.shape[1:]) if first_row else self.shape,
+                        self.dtype)
         if host.size:
             self.device.note_wait()
-            cl.enqueue_copy(self.device.queue, host, self.buffer)
+            cl.enqueue_copy(self.device.queue, host, self.buffer,
+                            src_offset=self.nbytes - host.nbytes)
         return host
 
     def write(self, values: ArrayLike, first_row: int = 0) -> None:

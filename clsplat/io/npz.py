@@ -3,23 +3,34 @@
 import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from io import SEEK_CUR, BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, cast
-from zipfile import ZipExtFile, ZipFile, ZipInfo
+from struct import unpack
+from typing import Any, BinaryIO
+from zipfile import ZIP_STORED, ZipFile, ZipInfo
+from zlib import crc32
 
 import numpy as np
-from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
+from numpy.lib.format import (
+    header_data_from_array_1_0,
+    read_array_header_1_0,
+    read_array_header_2_0,
+    read_magic,
+    write_array_header_1_0,
+)
 from numpy.typing import NDArray
 
 from clsplat.io.regular import opened_archive
 
 THREADS = 4  # that read arrays of a file
-READ_BYTES = 1 << 20  # so few that they are in the cache while they are copied
+PART_BYTES = 1 << 20  # so few that they are in the cache while their CRC is computed
+LARGEST_HEADER = 1 << 16  # bytes that describe an array
 
 
 def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True
              ) -> dict[str, NDArray[Any]]:
-    """Read the arrays of an .npz by name; every byte that is read is checked against its CRC.
+    """Read the arrays of an .npz that is not compressed by name; every byte that is read is checked
+    against its CRC. Through zipfile this takes three times as long.
 
     Raises exceptions of any kind for a damaged file, see `fields.reading`.
 
@@ -29,20 +40,21 @@ def read_npz(path: Path, wanted: Callable[[str], bool] = lambda name: True
     """
     with opened_archive(path, lambda name: wanted(name.removesuffix(".npy"))
                         ) as (_, members), ThreadPoolExecutor(THREADS) as threads:
-
-        def read(member: ZipInfo) -> NDArray[Any]:
-            # threads must not share a file: a seek of zipfile is relative to where others read
-            with ZipFile(path) as own, own.open(member) as stream:
-                return _read_array(cast(ZipExtFile, stream), member.file_size)
-
         return dict(zip((name.removesuffix(".npy") for name in members),
-                        threads.map(read, members.values())))
+                        threads.map(lambda member: _read_array(path, member), members.values())))
 
 
 def write_npz(file: BinaryIO, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays by name into an open file; equal arrays make equal bytes."""
-    by_rows: dict[str, Any] = {name: np.asarray(each, order="C") for name, each in arrays.items()}
-    np.savez(file, **by_rows)
+    """Write arrays by name into an open file, as `numpy.savez` in half of its time; equal arrays
+    make equal bytes."""
+    with ZipFile(file, "w") as archive:
+        for name, values in arrays.items():
+            by_rows = np.asarray(values, order="C")
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                write_array_header_1_0(member, header_data_from_array_1_0(by_rows))
+                content = by_rows.reshape(-1).view(np.uint8).data
+                for begin in range(0, len(content), PART_BYTES):
+                    member.write(content[begin:begin + PART_BYTES])
 
 
 def state_array(state: Mapping[str, Any]) -> NDArray[np.uint8]:
@@ -50,17 +62,22 @@ def state_array(state: Mapping[str, Any]) -> NDArray[np.uint8]:
     return np.frombuffer(json.dumps(state, default=lambda value: value.tolist()).encode(), np.uint8)
 
 
-def _read_array(stream: ZipExtFile, size: int) -> NDArray[Any]:
-    """The array of an .npy of `size` bytes; numpy's own reader would allocate what a header claims.
-    """
+def _read_array(path: Path, member: ZipInfo) -> NDArray[Any]:
+    """The array of a member; numpy's own reader would allocate what a header claims."""
+    if member.compress_type != ZIP_STORED or member.flag_bits & 1:
+        raise ValueError("it is compressed or encrypted")
+    content, crc = np.empty(member.file_size, np.uint8), 0
+    with open(path, "rb", buffering=0) as file:
+        file.seek(member.header_offset)
+        file.seek(sum(unpack("<26x2H", file.read(30))), SEEK_CUR)  # the name and what follows it
+        for begin in range(0, len(content), PART_BYTES):
+            part = content.data[begin:begin + PART_BYTES]
+            if file.readinto(part) != len(part):
+                raise ValueError("it ends too early")
+            crc = crc32(part, crc)
+    if crc != member.CRC:
+        raise ValueError(f"the CRC of {member.filename} is wrong")
     read_header = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
-    shape, by_columns, dtype = read_header[read_magic(stream)](stream)
-    left = size - stream.tell()
-    content = np.empty(left, np.uint8)
-    for begin in range(0, left, READ_BYTES):
-        part = content.data[begin:begin + READ_BYTES]
-        if stream.readinto(part) != len(part):
-            raise ValueError("it ends too early")
-    if stream.read(1):
-        raise ValueError("it is longer than it says")
-    return content.view(dtype).reshape(shape, order="F" if by_columns else "C")
+    header = BytesIO(content.data[:LARGEST_HEADER])
+    shape, by_columns, dtype = read_header[read_magic(header)](header)
+    return content[header.tell():].view(dtype).reshape(shape, order="F" if by_columns else "C")

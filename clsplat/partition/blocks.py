@@ -97,15 +97,16 @@ def choose_gaussians(positions: NDArray[np.floating], log_scales: NDArray[np.flo
 
     `positions`, `log_scales` : [N, 3], in the local frame of the `scene`; `views` : of the block,
     with cameras of the size they are trained at (`Scene.reduced`)."""
-    positions = positions.astype(np.float64)
-    world = world_of(scene, positions)
-    reached, owned = in_parts(region.reaches, world), in_parts(region.owns, world)
-    rest = ~reached
-    size = np.ones(len(positions))
-    deviations = np.exp(np.maximum.reduce(log_scales[rest].T))
-    size[rest] = in_parts(
-        lambda some, theirs: largest_sizes(some, theirs, views, scene.near_plane, enough=1),
-        positions[rest], deviations, size=SIZED_TOGETHER).clip(0, 1)
+    def sizes(rows: NDArray[np.integer]) -> NDArray[np.float64]:
+        return largest_sizes(positions[rows].astype(np.float64),
+                             np.exp(np.maximum.reduce(log_scales[rows].T)), views,
+                             scene.near_plane, enough=1)
+
+    reached = in_parts(lambda some: region.reaches(world_of(scene, some)), positions)
+    owned = reached.copy()
+    owned[reached] = in_parts(lambda some: region.owns(world_of(scene, some)), positions[reached])
+    rest, size = np.flatnonzero(~reached), np.ones(len(positions))
+    size[rest] = in_parts(sizes, rest, size=SIZED_TOGETHER).clip(0, 1)
     kept = np.flatnonzero(np.random.default_rng(0).random(len(size)) < size**2)
     return Choice(kept, (log_scales[kept] - np.log(size[kept])[:, None]).astype(log_scales.dtype),
                   owned[kept], reached[kept])
