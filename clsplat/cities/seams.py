@@ -95,13 +95,14 @@ def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequen
     # strip and elsewhere, the pixels and the squared errors of the merged model and the reference
     errors: list[list[NDArray[np.float64]]] = [[] for _ in range(len(borders) + 1)]
 
-    def rendered() -> Iterator[tuple[View, Image, NDArray[np.float64], Image]]:
+    def rendered() -> Iterator[tuple[View, Image, Image, Image, Image]]:
         for view in views:
             yield view, *_picture(on_device, view.camera), render_view(*other, view.camera)
 
-    def inspect(view: View, image: Image, place: NDArray[np.float64], reference: Image
+    def inspect(view: View, image: Image, transmittance: Image, depth: Image, reference: Image
                 ) -> list[tuple[int, NDArray[np.float64]]]:
         """(border, errors) for each border that the view shows, and for all."""
+        place = _places(view.camera, transmittance, depth)
         known, valid = np.isfinite(place).all(axis=-1), read_valid(view)
         if valid is not None and not (known := known & valid).any():
             return []
@@ -131,18 +132,24 @@ def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequen
             "seam_db": scores[-1]["seam_db"]}
 
 
-def _picture(model: Model, camera: Camera) -> tuple[Image, NDArray[np.float64]]:
-    """The image of a camera, and the point [H, W, 3] that each pixel shows; nan where none."""
+def _picture(model: Model, camera: Camera) -> tuple[Image, Image, Image]:
+    """The image of a camera, and its transmittance and blended depth [H, W]."""
     renderer, rows, degree = model
     frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height, degree, True)
     image = np.clip(frame.image.download().transpose(1, 2, 0), 0, 1)
-    covered = 1 - frame.blended.transmittance.download().astype(np.float64)
-    depth = np.where(covered > 1 - OPAQUE, frame.blended.depth.download(), np.nan)
+    return image, frame.blended.transmittance.download(), frame.blended.depth.download()
+
+
+def _places(camera: Camera, transmittance: Image, depth: Image) -> NDArray[np.float64]:
+    """The point [H, W, 3] that each pixel shows; nan where none."""
+    covered = 1 - transmittance.astype(np.float64)
+    depth = np.where(covered > 1 - OPAQUE, depth, np.nan)
     line, column = np.indices(depth.shape) + 0.5
     along = np.stack([(column - camera.centre[0]) / camera.focal[0],
                       (line - camera.centre[1]) / camera.focal[1], np.ones_like(line)], axis=-1)
     place = along * (depth / np.maximum(covered, OPAQUE))[..., None]
-    return image, (place - camera.translation) @ camera.rotation
+    place -= camera.translation
+    return place @ camera.rotation
 
 
 def _scores(errors: ArrayLike) -> dict[str, Any]:
