@@ -59,9 +59,10 @@ def lead(options: Mapping[str, Any], records: Sequence[Record]) -> str:
     if not records:
         return f"This training on {device} has no records."
     last = records[-1]
+    blocks = ", the sum of its blocks" * any(each.get("event") == "merge" for each in records)
     text = (f"A model of {last.get('gaussians') or 0:,} gaussians, trained in "
-            f"{_duration(last.get('train_seconds') or 0)} ({last.get('iteration') or 0:,} steps) "
-            f"on {device}.")
+            f"{_duration(last.get('train_seconds') or 0)}{blocks} "
+            f"({last.get('iteration') or 0:,} steps) on {device}.")
     scores = [record for record in records if record.get("event") == "eval"
               and main_psnr(record) is not None]
     if scores:

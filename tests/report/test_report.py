@@ -154,6 +154,8 @@ def test_the_lead_says_what_was_trained():
             "out views: 25% interpolated") in lead(options, records)
     assert "1 h 40 min" in lead(options, [{"train_seconds": 6012}])
     assert "PSNR" not in lead(options, [{"train_seconds": 1}])
+    city = [{"event": "merge"}, {"train_seconds": 6012, "iteration": 7}]
+    assert "trained in 1 h 40 min, the sum of its blocks (7 steps) on" in lead(options, city)
     assert "has no records" in lead({}, [])
 
 
