@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -12,10 +15,15 @@ from clsplat.errors import DeviceError
 if TYPE_CHECKING:
     from clsplat.device.find import ListedDevice
 
+PACKAGES = "clsplat", "pyopencl", "numpy"  # whose versions a report tells
+SIZES = "wave", "group_size", "scan_group", "tile", "bucket", "adjoint_group"  # of a Device
+
 
 @click.command()
 @click.option("--check", is_flag=True, help="Run the correctness self-test on each working device.")
-def devices(check: bool) -> None:
+@click.option("--report", is_flag=True, help="Tell driver, extensions and sizes of each device, "
+              "too, for a report to clsplat's developers. Nothing of you or your files is in it.")
+def devices(check: bool, report: bool) -> None:
     """List all OpenCL devices and whether they work.
 
     The exit code is 2 if no device works or a check fails.
@@ -23,9 +31,16 @@ def devices(check: bool) -> None:
     from clsplat.device import list_devices
     from clsplat.device.find import NO_DEVICE
     listed = list_devices()
+    if report:
+        versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+        click.echo(f"{versions}, Python {platform.python_version()}, {platform.system()} "
+                   f"{platform.release()}, {platform.machine()}\n")
     if listed:
-        click.echo(table(listed))
+        click.echo(private(table(listed)))
     working = [entry for entry in listed if entry.works]
+    for entry in working if report else ():
+        click.echo(f"\n{entry.index}, {entry.name} ({entry.platform})")
+        click.echo("\n".join(f"  {name}: {value}" for name, value in facts_of(entry).items()))
     if not working:
         raise DeviceError(NO_DEVICE)
     failed = [entry.name for entry in working if check and not _passes(entry)]
@@ -58,6 +73,28 @@ def _notes(entry: ListedDevice) -> list[str]:
         f"{facts['local_bytes'] >> 10} KiB local memory", facts["opencl_c"], *features])]
 
 
+def facts_of(entry: ListedDevice) -> dict[str, str]:
+    """What a report tells of a working device: its driver, what it can do, and the sizes that
+    clsplat chose for it."""
+    from clsplat.device import Device
+    handle = entry.handle
+    try:
+        device = Device(handle)
+    except Exception as error:  # noqa: BLE001  (a driver may raise anything, and that is told)
+        return {"driver": handle.driver_version.strip(),
+                "cannot be opened": private(f"{type(error).__name__}: {error}")}
+    return {"driver": handle.driver_version.strip(), "OpenCL": handle.version.strip(),
+            "work-items of a group, at most": f"{handle.max_work_group_size:,}",
+            "address bits": str(handle.address_bits), "form": device.form,
+            **{name.replace("_", " "): str(getattr(device, name)) for name in SIZES},
+            "extensions": " ".join(sorted(handle.extensions.split()))}
+
+
+def private(text: str) -> str:
+    """A text, perhaps of a driver, without the path of the home folder, which has a name."""
+    return text.replace(str(Path.home()), "~")
+
+
 def _passes(entry: ListedDevice) -> bool:
     """Run and print the self-test of one device; whether all its checks passed."""
     from clsplat.bench.selftest import check
@@ -65,5 +102,5 @@ def _passes(entry: ListedDevice) -> bool:
     click.echo(f"\nself-test of {entry.index}, {entry.name} ({entry.platform})")
     results = check(choose_device(str(entry.index)))
     for name, passed, detail in results:
-        click.echo(f"  {'ok    ' if passed else 'FAILED'}  {name}: {detail}")
+        click.echo(private(f"  {'ok    ' if passed else 'FAILED'}  {name}: {detail}"))
     return all(passed for _, passed, _ in results)

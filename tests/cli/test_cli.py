@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import types
+from pathlib import Path
 
 import click
 import numpy as np
@@ -223,6 +224,30 @@ def test_devices_check_runs_on_each_that_works(monkeypatch, passed, code):
     assert (opened, result.exit_code) == (["0", "2"], code)
     assert ("FAILED  blend: 3e-7 off" in result.output) is not passed
     assert ("error: the self-test failed on name 0; update" in result.output) is not passed
+
+
+def test_a_report_tells_of_drivers_and_nothing_of_the_user(monkeypatch, item_device):
+    def handle(extensions):
+        return types.SimpleNamespace(driver_version=" 9.9 ", version="OpenCL 3.0",
+                                     max_work_group_size=4096, address_bits=64,
+                                     extensions=extensions)
+
+    def opened(handle):
+        if handle.extensions:
+            return item_device
+        raise RuntimeError(f"no {Path.home()}/cache")
+
+    module(monkeypatch, "clsplat.device", Device=opened, list_devices=lambda: [
+        entry(0, True, handle=handle("cl_b cl_a")), entry(1, False),
+        entry(2, True, handle=handle(""))])
+    result = clsplat_("devices", "--report")
+    assert result.exit_code == 0 and result.output.startswith(f"clsplat {clsplat.__version__}, ")
+    lines = [line.strip() for line in result.output.splitlines()]
+    for line in ("0, name 0 (Platform)", "driver: 9.9", "extensions: cl_a cl_b", "form: item",
+                 "work-items of a group, at most: 4,096", "wave: 32", "2, name 2 (Platform)",
+                 "cannot be opened: RuntimeError: no ~/cache"):
+        assert line in lines
+    assert "1, name 1" not in result.output and str(Path.home()) not in result.output
 
 
 def test_pack_copies_a_scene(tmp_path):
