@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,6 +10,7 @@ from clsplat.cities.city import Shown
 from clsplat.cities.exchange import (
     BlockRun,
     exchange,
+    exchange_in_place,
     lacking_blocks,
     other_blocks,
     remove_passed,
@@ -23,9 +25,8 @@ from clsplat.io.runs.city import DENSE, BlockFolder, CityFolder, StageTime
 from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.write import DEPTH
 from clsplat.options import TrainOptions, checked_values, resolve
-from clsplat.training.checkpoint import Saved
 from clsplat.training.interrupt import was_interrupted
-from clsplat.training.loop import train_or_resume
+from clsplat.training.loop import Training, training_of
 from clsplat.training.progress import SilentProgress
 
 # options that the coarse run decides, so that all blocks agree on colours and SH degree
@@ -45,11 +46,14 @@ class BlockJob(Job):
     block : its folder.
     until : the exchange, from 1, at which it stops once what others need is written; 0: none.
     alone : do without the exchanges that are left.
+    rests : keep the training at an exchange for the block's next job in this process; there is
+        memory for all that rest.
     """
 
     block: BlockFolder = BlockFolder("")
     until: int = 0
     alone: bool = False
+    rests: bool = False
 
     @property
     def is_done(self) -> bool:
@@ -65,7 +69,36 @@ class BlockJob(Job):
         """
         self.block.check()
         return train_block(self.block, device, progress, self.until, self.alone, LOCK_SECONDS,
-                           stopping)
+                           stopping, self.rests)
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """The training of a block in this process, with its folder and the block as it was read."""
+
+    training: Training
+    run: BlockRun
+    scene: BlockScene
+
+    def close(self) -> None:
+        """Give back its memory."""
+        self.training.session.photos.close()
+
+
+_resting: list[Begun] = []  # at most one, see `BlockJob.rests`
+
+
+def _taken_up(block: BlockFolder, device: Device | None) -> Begun | None:
+    """The training of a block that rests in this process, if it is on this device and no other
+    process has continued it; another one ends."""
+    if not _resting:
+        return None
+    begun = _resting.pop()
+    if (begun.run.path.resolve() == block.run.resolve() and begun.training.session.device is device
+            and block.last_exchange == begun.run.number and not begun.run.checkpoint_iteration()):
+        return begun
+    begun.close()
+    return None
 
 
 def decided_by(coarse: RunFolder) -> dict[str, Any]:
@@ -96,7 +129,7 @@ def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
 def train_block(block: BlockFolder, device: Device | None = None,
                 progress: SilentProgress | None = None, until: int = 0, alone: bool = False,
                 patience: float = 0.0, stopping: Callable[[], bool] = lambda: False,
-                **changes: Any) -> str:
+                rests: bool = False, **changes: Any) -> str:
     """Train a block from its folder, which contains all that it needs: from the start or from the
     last checkpoint of its run, to the end or to an exchange with blocks that have not come as far.
 
@@ -106,7 +139,7 @@ def train_block(block: BlockFolder, device: Device | None = None,
     Parameters
     ----------
     device : None: it is opened as the options say.
-    until, alone : see `BlockJob`; `stopping` : see `Job.run`.
+    until, alone, rests : see `BlockJob`; `stopping` : see `Job.run`.
     patience : seconds to wait for another process that trains the block.
     changes : see `block_options`.
     """
@@ -121,13 +154,13 @@ def train_block(block: BlockFolder, device: Device | None = None,
         """After which step an exchange is; 0 for 0."""
         return exchanges[number - 1] if number else 0
 
-    def go_on(number: int, begins: Saved | None) -> None:
+    def go_on(begun: Begun, number: int) -> None:
         """Train until an exchange, or to the end if that is 0; see `BlockRun`."""
         stop_at = min(filter(None, (step_of(number), options.stop_at)), default=0)
+        session, begun.run.number = begun.training.session, number
+        session.options = replace(session.options, stop_at=stop_at)
         try:
-            train_or_resume(scene.scene, replace(options, stop_at=stop_at), opened,
-                            BlockRun(block, scene, number, begins), progress, (stop,),
-                            scene.parts(options.exposure == "on"))
+            begun.training.take(closes=False)
         except Interrupted as stopped:
             if (not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at
                     or stopping()):
@@ -141,29 +174,46 @@ def train_block(block: BlockFolder, device: Device | None = None,
                                  f"has {present}; put that back, or remove the run")
         if run.is_finished:
             return BEFORE
-        opened = device or choose_device(options.device, form=options.form)
         others = other_blocks(block) if exchanges and not alone else []
-        scene = BlockScene.read(block)
-        done = block.last_exchange
-        while True:
-            place = f"exchange {done} of {len(exchanges)}, after step {step_of(done)}"
-            if until and done >= until:
-                return f"stops at {place}"
-            begins = None
-            if done and run.checkpoint_iteration() <= step_of(done):
-                if lacking := lacking_blocks(others, done):
-                    return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}"
-                            f"{' ...' * (len(lacking) > MOST_NAMED)} too, then this block again")
-                if progress:
-                    progress.phase("exchanging gaussians with other blocks")
-                begins = exchange(block, scene, others, options, done)
-            if alone or done == len(exchanges):
-                go_on(0, begins)
-                return "finished"
-            done += 1
-            go_on(done, begins)
-            if others:
-                remove_passed(CityFolder(block.path.absolute().parents[1]).blocks())
+        begun, done = _taken_up(block, device), block.last_exchange
+        opened = device or choose_device(options.device, form=options.form)
+        with ExitStack() as stack:
+            if begun:
+                stack.callback(begun.close)
+            scene = begun.scene if begun else BlockScene.read(block)
+            while True:
+                place = f"exchange {done} of {len(exchanges)}, after step {step_of(done)}"
+                if until and done >= until:
+                    if begun and rests:
+                        stack.pop_all()
+                        _resting.append(begun)
+                    return f"stops at {place}"
+                begins = None
+                if done and (begun or run.checkpoint_iteration() <= step_of(done)):
+                    if lacking := lacking_blocks(others, done):
+                        more = " ..." * (len(lacking) > MOST_NAMED)
+                        return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}{more} "
+                                "too, then this block again")
+                    if progress:
+                        progress.phase("exchanging gaussians with other blocks")
+                    if begun:
+                        exchange_in_place(begun.training, begun.run, block, scene, others, options)
+                    else:
+                        begins = exchange(block, scene, others, options, done)
+                last = alone or done == len(exchanges)
+                done = 0 if last else done + 1
+                if not begun:
+                    own = BlockRun(block, scene, done, begins)
+                    begun = Begun(training_of(
+                        scene.scene, options, opened, own, progress, (stop,),
+                        scene.parts(options.exposure == "on")), own, scene)
+                    stack.callback(begun.close)
+                    begins = None
+                go_on(begun, done)
+                if last:
+                    return "finished"
+                if others:
+                    remove_passed(CityFolder(block.path.absolute().parents[1]).blocks())
 
 
 def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Shown | None = None,
@@ -199,8 +249,11 @@ def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Show
 
     def trained(jobs: Iterable[BlockJob]) -> dict[str, Outcome]:
         device_name = workers.devices[0] if len(workers.devices) == 1 else ""
-        return _by_block(workers.run([replace(job, device=device_name or job.device)
+        return _by_block(workers.run([replace(job, device=device_name or job.device, rests=rests)
                                       for job in jobs], here, began, ended))
+
+    # each block has a process, which need not read it again
+    rests = workers.number >= len(blocks) > 1 and not workers.scheduler
 
     outcomes = trained(jobs_of(city, list(blocks.values())))
     if fill and any(not outcome.ok for outcome in outcomes.values()):

@@ -33,6 +33,7 @@ from clsplat.partition.blocks import choose_gaussians, trainable
 from clsplat.partition.region import Region, world_of
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import BY_GAUSSIAN, Arrays, Saved, check_arrays
+from clsplat.training.loop import Training
 from clsplat.training.parts.average import Average
 from clsplat.training.recorder import LOG_EVERY
 
@@ -71,14 +72,19 @@ class BlockRun(RunFolder):
     Parameters
     ----------
     block, own : its folder, and the block as it was read.
-    number : of the exchange, from 1, to which it is trained; 0: to the end.
     begins : what it goes on from, as `exchange` returns it; None: its checkpoint.
+
+    Attributes
+    ----------
+    number : of the exchange, from 1, to which it is trained; 0: to the end.
+    owned : int[K], the rows that the block owned at its last exchange, and no rows of each kind.
     """
 
     def __init__(self, block: BlockFolder, own: BlockScene, number: int = 0,
                  begins: Saved | None = None) -> None:
         super().__init__(block.run)
-        self._block, self._own, self._number, self._begins = block, own, number, begins
+        self._block, self._own, self.number, self._begins = block, own, number, begins
+        self.owned: tuple[NDArray[np.integer], Arrays] = np.empty(0, int), {}
 
     @property
     def has_checkpoint(self) -> bool:
@@ -92,7 +98,7 @@ class BlockRun(RunFolder):
 
     def save_checkpoint(self, arrays: Arrays, state: dict[str, Any]) -> None:
         """As in `RunFolder`, but for the checkpoint at the exchange."""
-        if not self._number or state["iteration"] < self._block.exchanges[self._number - 1]:
+        if not self.number or state["iteration"] < self._block.exchanges[self.number - 1]:
             super().save_checkpoint(arrays, state)
             return
         scene, record = self._own.scene.normalised(), self._block.read()
@@ -100,10 +106,12 @@ class BlockRun(RunFolder):
         kept = {name: values[owned] if _is_by_gaussian(name) else values
                 for name, values in arrays.items()
                 if name not in REPLACED and not name.startswith(f"{Average.name}.")}
-        with replacing(self._block.exchanged(self._number)) as file:
+        with replacing(self._block.exchanged(self.number)) as file:
             write_npz(file, {**kept, STATE: state_array({
                 TRAINING: state, "unit": scene.unit, "offset": scene.offset.tolist(),
                 CITY: record[CITY], START: self._block.start()})})
+        self.owned = owned, {name: values[:0] for name, values in kept.items()
+                             if _is_by_gaussian(name)}
         self.remove_checkpoint()
 
 
@@ -148,23 +156,48 @@ def exchange(block: BlockFolder, own: BlockScene, others: Sequence[BlockFolder],
         began with them.
     options, number : of its training; of the exchange, from 1.
     """
-    record = block.read()
-    scene = own.scene.reduced(options.downscale, options.max_resolution).normalised()
-    arrays, frame = _owned(block, number, record)
+    arrays, frame = _owned(block, number, block.read())
     rows = {name: arrays.pop(name) for name in list(arrays) if _is_by_gaussian(name)}
-    if others:
-        rows = _with_others(rows, others, number, record, scene, own.region)
-    else:
-        start = read_ply(block.initial, scene.offset).scaled(1 / scene.unit).with_sh_degree(
-            record["options"]["sh_degree"])
-        beyond = ~own.region.owns(world_of(scene, start.positions))
-        first = len(rows[SCALES])
-        rows = _longer(rows, int(beyond.sum()))
-        for name, values in start.rows.items():
-            rows[f"row.{name}"][first:] = values[beyond]
-    trains, state = trainable(scene, own.region, rows[POSITIONS], rows[SCALES]), frame[TRAINING]
-    return {**arrays, **rows, "frozen.rows": (~trains).astype(np.uint32),
+    rows = _with_beyond(rows, block, own, others, options, number)
+    scene, state = _as_trained(own, options), frame[TRAINING]
+    trains = trainable(scene, own.region, rows[POSITIONS], rows[SCALES])
+    return {**arrays, **rows, **{name: np.zeros_like(rows[name]) for name in STATISTICS},
+            "frozen.rows": (~trains).astype(np.uint32),
             "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
+
+
+def exchange_in_place(training: Training, run: BlockRun, block: BlockFolder, own: BlockScene,
+                      others: Sequence[BlockFolder], options: SceneOptions) -> None:
+    """As `exchange`, in a training that has come to it in this process: what the block owns stays
+    on the device. It goes on to the same bytes."""
+    owned, none = run.owned
+    rows = _with_beyond(dict(none), block, own, others, options, run.number)
+    by_kind: dict[str, Arrays] = {kind: {} for kind in BY_GAUSSIAN}
+    for name, values in rows.items():
+        kind, _, field = name.partition(".")
+        by_kind.get(kind, {})[field] = values
+    training.session.step.replace_others(owned, *by_kind.values())
+
+
+def _as_trained(own: BlockScene, options: SceneOptions) -> Scene:
+    return own.scene.reduced(options.downscale, options.max_resolution).normalised()
+
+
+def _with_beyond(rows: Arrays, block: BlockFolder, own: BlockScene, others: Sequence[BlockFolder],
+                 options: SceneOptions, number: int) -> Arrays:
+    """Rows of a block, by name as in a checkpoint, and behind them what it holds of others; other
+    arguments as for `exchange`."""
+    record, scene = block.read(), _as_trained(own, options)
+    if others:
+        return _with_others(rows, others, number, record, scene, own.region)
+    start = read_ply(block.initial, scene.offset).scaled(1 / scene.unit).with_sh_degree(
+        record["options"]["sh_degree"])
+    beyond = ~own.region.owns(world_of(scene, start.positions))
+    first = len(rows[SCALES])
+    rows = _longer(rows, int(beyond.sum()))
+    for name, values in start.rows.items():
+        rows[f"row.{name}"][first:] = values[beyond]
+    return rows
 
 
 def _with_others(rows: Arrays, others: Sequence[BlockFolder], number: int, record: dict[str, Any],

@@ -19,6 +19,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from clsplat.cities.cluster import Cluster
@@ -235,11 +236,12 @@ class _InProcess:
 @dataclass
 class _Process:
     """A process of this machine; `device` : its CLSPLAT_DEVICE, "" for that of this process;
-    `future` : of its latest job."""
+    `future`, `folder` : of its latest job."""
 
     device: str
     executor: ProcessPoolExecutor | None = None
     future: Future[Any] | None = None
+    folder: Path | None = None
 
 
 class _Processes:
@@ -255,9 +257,11 @@ class _Processes:
         return len(self.all)
 
     def submit(self, job: Job) -> Future[Any]:
-        """Run a job in a free process, or in a new one where the latest job failed: no job is begun
-        by a process of which something went wrong."""
-        process = next(each for each in self.all if not each.future or each.future.done())
+        """Run a job in a free process, best in that of the latest job in its folder; in a new one
+        where the latest job failed: no job is begun by a process of which something went wrong."""
+        free = [each for each in self.all if not each.future or each.future.done()]
+        process = next((each for each in free if each.folder == job.folder), free[0])
+        process.folder = job.folder
         if process.executor and process.future and process.future.exception():
             process.executor.shutdown()
             process.executor = None

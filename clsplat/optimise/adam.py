@@ -9,7 +9,7 @@ step.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import accumulate
 from typing import Any
 
@@ -330,12 +330,7 @@ class DeviceAdam:
 
         Where their number is another, the parameters must change to it, too.
         """
-        count = len(m["positions"])
-        small = [np.column_stack([source[field.name].reshape(count, -1) for field in SMALL])
-                 for source in (m, v)]
-        rest = [source["sh_rest"].reshape(count, 3 * self.harmonics) for source in (m, v)]
-        for name, moments in (("small", small), ("rest", rest)):
-            codes = self.STORED.codes(*moments)
+        for name, codes in self._stored(m, v):
             if name == "rest" and self.pages:
                 for of_pages, values in zip(MOMENTS_OF_REST, codes):
                     self.pages.write(of_pages, values)
@@ -343,7 +338,26 @@ class DeviceAdam:
             for own, values in zip((self._m, self._v), codes):
                 del own[name]  # so that new moments take the memory of the old ones
                 own[name] = self.device.upload(values)
-        self._start_lag(count)
+        self._start_lag(len(m["positions"]))
+
+    def write(self, m: HostArrays, v: HostArrays, first: int) -> None:
+        """Overwrite the moments of as many rows from `first` on, which have caught up."""
+        for name, codes in self._stored(m, v):
+            for kind, own, values in zip(MOMENTS_OF_REST, (self._m, self._v), codes):
+                if name == "rest" and self.pages:
+                    self.pages.write(kind, values, first)
+                else:
+                    own[name].write(values, first)
+
+    def _stored(self, m: HostArrays, v: HostArrays
+                ) -> Iterator[tuple[str, Sequence[NDArray[Any]]]]:
+        """Moments by field as they are stored: the names of both arrays, and their values."""
+        count = len(m["positions"])
+        yield "small", self.STORED.codes(*(
+            np.column_stack([source[field.name].reshape(count, -1) for field in SMALL])
+            for source in (m, v)))
+        yield "rest", self.STORED.codes(*(
+            source["sh_rest"].reshape(count, 3 * self.harmonics) for source in (m, v)))
 
     def lag(self) -> dict[str, NDArray[Any]]:
         """How far each row has come, in host memory, for a checkpoint."""

@@ -101,6 +101,12 @@ class NumpyAdam:
         self.m, self.v = ({name: np.array(values, self.device.real)
                            for name, values in moments.items()} for moments in (m, v))
 
+    def write(self, m: HostArrays, v: HostArrays, first: int) -> None:
+        """As `DeviceAdam.write`."""
+        for own, moments in ((self.m, m), (self.v, v)):
+            for name, values in moments.items():
+                own[name][first:first + len(values)] = values
+
     def lag(self) -> dict[str, NDArray[Any]]:
         """As `DeviceAdam.lag`."""
         return {"last_step": np.full(len(self.m["positions"]), self.steps, np.uint32),

@@ -60,11 +60,8 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     another takes its place. Raises Interrupted on Ctrl-C, or where an option or a callback stops
     it; the state is saved.
     """
-    training = Training(scene, options, device, run, progress, callbacks=callbacks,
-                        watcher=watcher, parts=parts)
-    with training.resumable():
-        training.record()
-        training.run_to_end()
+    Training(scene, options, device, run, progress, callbacks=callbacks, watcher=watcher,
+             parts=parts).take()
 
 
 def trained_on(scene: Scene, init: str, device: Device, is_stage: bool = False) -> dict[str, Any]:
@@ -78,6 +75,13 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
            progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
            watcher: Watcher | None = None, parts: Iterable[Part] = ()) -> None:
     """Resume a run from its checkpoint, as if it had never stopped; arguments as for `train`."""
+    resumed(scene, options, device, run, progress, callbacks, watcher, parts).take()
+
+
+def resumed(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
+            progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
+            watcher: Watcher | None = None, parts: Iterable[Part] = ()) -> "Training":
+    """The training that `resume` takes on."""
     record, scene = run.read_options(), placed(scene, run.path)
     if record.get("fingerprint") != fingerprint(scene):
         raise InputError(f"{run.path}: this run was trained on another scene, "
@@ -87,8 +91,8 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         (progress.message if progress else logging.getLogger(__name__).warning)(
             f"{run.path}: has no checkpoint, so the training begins again at step 1")
         run.rewind(-1)
-        train(scene, options, device, run, progress, callbacks, watcher, parts)
-        return
+        return Training(scene, options, device, run, progress, callbacks=callbacks,
+                        watcher=watcher, parts=parts)
     match record:  # another version may choose other levels
         case {"decisions": {"levels": [*levels]}} if getattr(options, "levels", None) == ():
             options = dataclasses.replace(options, levels=checked(
@@ -104,26 +108,29 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         training.checkpoint.load(arrays, state)
     except KeyError as error:
         raise damaged(run, error) from None
-    arrays.clear()
-    del gaussians
     run.rewind(training.session.iteration)
     run.note_scene(scene.path)
     training.evaluator.evaluated_at = max(
         (record["iteration"] for record in run.records() if record.get("event") == "eval"),
         default=None)
-    with training.resumable():
-        training.begin()
-        training.run_to_end()
+    return training
 
 
 def train_or_resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                     progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
                     parts: Iterable[Part] = ()) -> None:
     """Resume a run if it was begun, else train it in a new folder; arguments as for `train`."""
-    begun = run.is_begun
-    if not begun:
-        run.begin_new()
-    (resume if begun else train)(scene, options, device, run, progress, callbacks, parts=parts)
+    training_of(scene, options, device, run, progress, callbacks, parts).take()
+
+
+def training_of(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
+                progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
+                parts: Iterable[Part] = ()) -> "Training":
+    """The training that `train_or_resume` takes on."""
+    if run.is_begun:
+        return resumed(scene, options, device, run, progress, callbacks, parts=parts)
+    run.begin_new()
+    return Training(scene, options, device, run, progress, callbacks=callbacks, parts=parts)
 
 
 class Training:
@@ -178,6 +185,17 @@ class Training:
             self.progress.message(f"{WARNING}{text}")
         self.begin()
 
+    def take(self, closes: bool = True) -> None:
+        """Begin or go on until the end, or until a stop, which raises Interrupted.
+
+        `closes` : then no more photos are read, and the training cannot go on in this process."""
+        with self.resumable(closes):
+            if self.recorded:
+                self.begin()
+            else:
+                self.record()
+            self.run_to_end()
+
     def run_to_end(self) -> None:
         """Take steps until the end, `stop_at` or Ctrl-C, which waits for its step; then save.
 
@@ -220,10 +238,10 @@ class Training:
             self.deadline.begin()
 
     @contextmanager
-    def resumable(self) -> Iterator[None]:
+    def resumable(self, closes: bool = True) -> Iterator[None]:
         """Turn an interrupt in the block into one that tells how to resume, if the run is recorded.
 
-        At the end of the block no more photos are read.
+        `closes` : at the end of the block no more photos are read.
         """
         try:
             yield
@@ -233,7 +251,8 @@ class Training:
                 raise
             raise self.stopped() from None
         finally:
-            self.session.photos.close()
+            if closes:
+                self.session.photos.close()
 
     def stopped(self) -> Interrupted:
         """The Interrupted of a run that can be resumed, from the checkpoint that there is."""

@@ -23,7 +23,7 @@ from clsplat.device import Array, Graph
 from clsplat.errors import OutOfDeviceMemory
 from clsplat.gaussians import FIELDS
 from clsplat.loss.image_loss import is_masked
-from clsplat.optimise.adam import learning_rates
+from clsplat.optimise.adam import HostArrays, learning_rates
 from clsplat.optimise.batch import BatchMean
 from clsplat.options import ScheduledOptions
 from clsplat.rendering.pipeline import Renderer, Room
@@ -339,6 +339,21 @@ class Step:
         self._model.regrow(growth)
         self.rows_changed(growth)
         self._statistics.clear(self._model.count)
+
+    def replace_others(self, kept: NDArray[np.integer], rows: HostArrays, m: HostArrays,
+                       v: HostArrays) -> None:
+        """Replace all gaussians but those at `kept`, int[K], which come first then and keep their
+        moments, by others: their rows and their moments, by field."""
+        self.release()
+        self._model.catch_up()
+        if self._model.pages:
+            self._model.pages.leave()
+        self.rows_changed()
+        source = np.concatenate([kept, np.zeros(len(rows["positions"]))]).astype(np.uint32)
+        self.replace_rows(Growth(source, len(kept), 0, 0, 0, {
+            name: (len(kept), values) for name, values in rows.items()}))
+        self._model.adam.write(m, v, len(kept))
+        self._choose_room(True)
 
     def rows_changed(self, growth: Growth | None = None) -> None:
         """Let the parts follow a change of the rows; see `Part.rows_changed`."""

@@ -117,7 +117,7 @@ def test_at_an_exchange_the_file_takes_the_place_of_the_checkpoint(city):
     after = read_npz(block.exchanged(1))
     assert set(after) == set(before)
     assert all(np.array_equal(after[name], values) for name, values in before.items()
-               if name != "state.json")
+               if name != "state.json" and name not in exchange.STATISTICS)  # these begin anew
     run = exchange.BlockRun(block, own, 0, (arrays, state))
     assert run.has_checkpoint and run.load_checkpoint()[0] is arrays and not run.has_checkpoint
 
@@ -200,7 +200,7 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
         raise SystemExit(9)
 
     # in the exchange, after it, and where the training ends that follows it
-    for owner, name in ((exchange, "trainable"), (training_block, "train_or_resume"),
+    for owner, name in ((exchange, "trainable"), (training_block, "training_of"),
                         (Checkpoint, "check_model"), (RunFolder, "save_model")):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, dies)
@@ -209,6 +209,30 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
     assert train_block(killed) == "finished"
     assert model_digest(RunFolder(killed.run)) == model_digest(RunFolder(block.run))
     assert train_block(killed) == "was finished before"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["auto", "coded", "numpy"])
+def test_a_training_that_rests_goes_on_to_the_same_bytes(city, item_device, engine):
+    """The exchange in place, and from files; the block is cut anew with this engine."""
+    for number in (0, 1):
+        record = json.loads((city.block(number).path / BLOCK).read_text())
+        record["options"]["engine"] = engine
+        write_object(city.block(number).path / BLOCK, record)
+        shutil.rmtree(city.block(number).run)
+        said = train_block(city.block(number), item_device, until=1, rests=True)
+        assert said.startswith("stops at exchange 1 of 1")
+    assert [begun.run.path for begun in training_block._resting] == [city.block(1).run]
+    copy = CityFolder(city.path.with_name("copy"))
+    shutil.copytree(city.path, copy.path, symlinks=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training_block, "exchange", lambda *_: pytest.fail("read from files"))
+        assert train_block(city.block(1), item_device, rests=True) == "finished"
+    assert not training_block._resting
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training_block, "exchange_in_place", lambda *_: pytest.fail("none rests"))
+        assert train_block(copy.block(1), item_device) == "finished"
+    assert model_digest(RunFolder(city.block(1).run)) == model_digest(RunFolder(copy.block(1).run))
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ from clsplat.gaussians import LEARNED
 from clsplat.training.part import Part, State
 
 if TYPE_CHECKING:
+    from clsplat.densify.grow import Growth
     from clsplat.schedule.plan import Plan
     from clsplat.training.model import Model
     from clsplat.training.session import Session
@@ -29,7 +30,7 @@ MOST_SAMPLES = 24  # long runs take fewer, as paged harmonics come to the host f
 
 
 class Average(Part):
-    """Sums of the learned fields over samples of the last steps, since the gaussians last became
+    """Sums of the learned fields over samples of the last steps, since the rows last became
     others."""
 
     name = "average"
@@ -38,11 +39,14 @@ class Average(Part):
         self._sums: dict[str, Array | NDArray[Any]] = {}
         self._samples = 0
         self._model: Model | None = None
-        self._layout: object = None  # of the rows that were summed
 
     @classmethod
     def is_used(cls, prepared: PreparedScene) -> bool:
         return prepared.options.average > 0
+
+    def rows_changed(self, model: Model, growth: Growth | None) -> None:
+        if growth:
+            self._sums, self._samples = {}, 0
 
     def before_step(self, session: Session, plan: Plan) -> dict[str, Any] | None:
         done, options = session.iteration, session.options
@@ -67,8 +71,6 @@ class Average(Part):
     def _add(self, session: Session) -> None:
         model = self._model = session.model
         model.catch_up()
-        if self._layout is not model.layout:  # the rows are others
-            self._sums, self._samples, self._layout = {}, 0, model.layout
         for field in LEARNED:
             self._sums[field.name] = model.add_to(field.name, self._sums.get(field.name))
         self._samples += 1
@@ -82,7 +84,7 @@ class Average(Part):
     def load(self, state: State, session: Session) -> None:
         model = self._model = session.model
         if state:
-            self._samples, self._layout = int(state["samples"]), model.layout
+            self._samples = int(state["samples"])
         self._sums = {name: values if model.pages else
                       model.within(partial(model.device.upload, values))
                       for name, values in state.items() if name != "samples"}
