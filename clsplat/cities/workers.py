@@ -243,6 +243,11 @@ class _Process:
     future: Future[Any] | None = None
     folder: Path | None = None
 
+    @property
+    def failed(self) -> bool:
+        """Whether the latest job failed; waits for it."""
+        return self.future is not None and self.future.exception() is not None
+
 
 class _Processes:
     """Processes of this machine; `number`, `devices` as for `Workers`."""
@@ -260,9 +265,10 @@ class _Processes:
         """Run a job in a free process, best in that of the latest job in its folder; in a new one
         where the latest job failed: no job is begun by a process of which something went wrong."""
         free = [each for each in self.all if not each.future or each.future.done()]
-        process = next((each for each in free if each.folder == job.folder), free[0])
+        process = next((each for each in free if each.folder == job.folder and not each.failed),
+                       free[0])
         process.folder = job.folder
-        if process.executor and process.future and process.future.exception():
+        if process.executor and process.failed:
             process.executor.shutdown()
             process.executor = None
         process.executor = process.executor or ProcessPoolExecutor(

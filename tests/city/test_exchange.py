@@ -235,6 +235,25 @@ def test_a_training_that_rests_goes_on_to_the_same_bytes(city, item_device, engi
     assert model_digest(RunFolder(city.block(1).run)) == model_digest(RunFolder(copy.block(1).run))
 
 
+@pytest.mark.parametrize("change", ["", "another block", "another device", "gone on", "saved"])
+def test_what_rests_is_taken_up_only_as_it_was_left(tmp_path, monkeypatch, change):
+    block, closed, device = BlockFolder(tmp_path / "000"), [], object()
+    block.run.mkdir(parents=True)
+    block.exchanged(1).touch()
+    saved = 100 if change == "saved" else 0
+    run = SimpleNamespace(path=block.run, number=1, checkpoint_iteration=lambda: saved)
+    photos = SimpleNamespace(close=lambda: closed.append(1))
+    session = SimpleNamespace(device=device, photos=photos)
+    rests = training_block.Begun(SimpleNamespace(session=session), run, None)
+    monkeypatch.setattr(training_block, "_resting", [rests])
+    if change == "gone on":
+        block.exchanged(2).touch()
+    asked = BlockFolder(tmp_path / "001") if change == "another block" else block
+    found = training_block._taken_up(asked, None if change == "another device" else device)
+    assert (found is rests) is (change == "") and closed == [1] * bool(change)
+    assert not training_block._resting and training_block._taken_up(block, device) is None
+
+
 @pytest.mark.slow
 def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
     block = city.block(0)

@@ -6,13 +6,15 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import clsplat
-from clsplat.cities import cluster
+from clsplat.cities import cluster, workers
 from clsplat.cities.cluster import Cluster
 from clsplat.cities.jobs import HERE, Lost
 from clsplat.cities.workers import LOG, MOST_TRIES, Workers
@@ -165,6 +167,35 @@ def test_a_process_is_replaced_after_a_failure_and_when_it_dies(tmp_path):
     assert len({line.split()[1] for line in lines(fails[0], STARTS)}) == 3
     assert "ValueError: as requested" in (fails[0].folder / LOG).read_text()
     assert isinstance(memory.error, OutOfDeviceMemory) and memory.tries == 1 and last.ok
+
+
+def test_a_job_goes_where_the_latest_one_of_its_folder_was(tmp_path, monkeypatch):
+    began = []
+
+    def executor(*_, **__):
+        number = len(began)
+        began.append(number)
+        return SimpleNamespace(submit=lambda call, job: begun(number), shutdown=lambda: None)
+
+    def begun(number):
+        futures.append(Future())
+        return futures[-1]
+
+    def places(names):
+        futures.clear()
+        for name in names:
+            pool.submit(SimpleNamespace(folder=tmp_path / name))
+        for future in futures:
+            future.set_result(None)
+        return [str(each.folder.name) for each in pool.all]
+
+    futures, pool = [], workers._Processes(3)
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", executor)
+    assert places("abc") == places("cab") == places("bca") == ["a", "b", "c"]
+    assert places("xc") == ["x", "b", "c"] and began == [0, 1, 2]
+    pool.all[2].future = Future()
+    pool.all[2].future.set_exception(RuntimeError("the device is gone"))
+    assert places("c") == ["c", "b", "c"]  # perhaps another device can do it
 
 
 def driver(*words, on_interrupt=signal.SIG_DFL):
