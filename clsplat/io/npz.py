@@ -69,7 +69,10 @@ def _read_array(path: Path, member: ZipInfo) -> NDArray[Any]:
     content, crc = np.empty(member.file_size, np.uint8), 0
     with open(path, "rb", buffering=0) as file:
         file.seek(member.header_offset)
-        file.seek(sum(unpack("<26x2H", file.read(30))), SEEK_CUR)  # the name and what follows it
+        name_length, extra_length = unpack("<26x2H", file.read(30))
+        if file.read(name_length) != member.orig_filename.encode():  # no CRC is over either
+            raise ValueError(f"{member.filename} has two names")
+        file.seek(extra_length, SEEK_CUR)
         for begin in range(0, len(content), PART_BYTES):
             part = content.data[begin:begin + PART_BYTES]
             if file.readinto(part) != len(part):
