@@ -25,7 +25,7 @@ from clsplat.io.atomic import replacing
 from clsplat.io.fields import reading
 from clsplat.io.models.ply import START, read_ply
 from clsplat.io.npz import read_npz, state_array, write_npz
-from clsplat.io.records import object_of
+from clsplat.io.records import check_format, object_of, with_format
 from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
 from clsplat.options import SceneOptions
@@ -107,9 +107,9 @@ class BlockRun(RunFolder):
                 for name, values in arrays.items()
                 if name not in REPLACED and not name.startswith(f"{Average.name}.")}
         with replacing(self._block.exchanged(self.number)) as file:
-            write_npz(file, {**kept, STATE: state_array({
+            write_npz(file, {**kept, STATE: state_array(with_format({
                 TRAINING: state, "unit": scene.unit, "offset": scene.offset.tolist(),
-                CITY: record[CITY], START: self._block.start()})})
+                CITY: record[CITY], START: self._block.start()}))})
         self.owned = owned, {name: values[:0] for name, values in kept.items()
                              if _is_by_gaussian(name)}
         self.remove_checkpoint()
@@ -257,6 +257,7 @@ def _owned(block: BlockFolder, number: int, record: dict[str, Any], wanted: Coll
         arrays = read_npz(path, lambda name: not wanted or name in (STATE, *STATISTICS, *wanted)
                           or name.partition(".")[0] in wanted)
         frame = object_of(arrays.pop(STATE).tobytes())
+        check_format(path, frame)
         check_arrays(arrays, record["options"]["sh_degree"],
                      [kind for kind in BY_GAUSSIAN if kind in wanted or not wanted])
         if not (frame["unit"] > 0 and np.shape(frame["offset"]) == (3,)

@@ -13,6 +13,10 @@ from clsplat.io.atomic import replacing
 from clsplat.io.regular import read_regular
 
 LARGEST_NUMBER = 1e100  # sums of squares stay finite
+# of the files of runs and cities, see docs/guide/files.md: it grows if an earlier clsplat would
+# misread what this one writes
+FORMAT = 1
+FORMAT_KEY = "format"
 
 
 def object_of(data: bytes) -> dict[str, Any]:
@@ -34,6 +38,7 @@ def read_object(path: Path, kinds: Mapping[str, type], cure: str) -> dict[str, A
     its type in `kinds`."""
     try:
         record = object_of(read_regular(path))
+        check_format(path, record)  # first, as other keys may have changed
         for key, kind in kinds.items():
             if type(record.get(key)) is not kind:
                 raise ValueError(f"{key} is {str(record.get(key))[:20]!r}")
@@ -42,6 +47,22 @@ def read_object(path: Path, kinds: Mapping[str, type], cure: str) -> dict[str, A
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: damaged ({reason(error)}); {cure}") from None
     return record
+
+
+def check_format(path: Path, record: Mapping[str, Any]) -> None:
+    """InputError if a file was written in a format later than FORMAT, ValueError if its number is
+    none; files of before 0.1.0 have no number, which is format 0."""
+    number = record.get(FORMAT_KEY, 0)
+    if type(number) is not int:
+        raise ValueError(f"{FORMAT_KEY} is {str(number)[:20]!r}")
+    if number > FORMAT:
+        raise InputError(f"{path}: has format {number}, and this clsplat reads formats up to "
+                         f"{FORMAT}; install the newer clsplat that wrote it")
+
+
+def with_format(record: Mapping[str, Any]) -> dict[str, Any]:
+    """A record with the number of this format, in the last place."""
+    return {**record, FORMAT_KEY: FORMAT}
 
 
 def write_object(path: Path, record: dict[str, Any], indent: int = 1) -> None:

@@ -110,7 +110,7 @@ def test_a_block_is_a_scene(city, scene, gaussians, away):
     there = read_ply(block.initial, far.offset)
     assert np.allclose(there.positions, gaussians.positions, atol=1e-4)
     assert block.read() == {"number": 0, **city.identity(), "start": digest_of(block.initial),
-                            "options": {**OPTIONS, "levels": [2.0, 1.0]}}
+                            "options": {**OPTIONS, "levels": [2.0, 1.0]}, "format": 1}
     block.check()
     model = pycolmap.Reconstruction(str(block.path / "sparse" / "0"))
     assert model.compute_mean_reprojection_error() < 1e-6  # tracks lie on their points
@@ -169,6 +169,10 @@ def test_a_block_that_is_there_is_left_alone(city, scene, gaussians):
     before = block.initial.stat().st_mtime_ns
     assert written(city, scene, gaussians).path == block.path
     assert block.initial.stat().st_mtime_ns == before and (block.path / "run").exists()
+    record = block.read()
+    assert record.pop("format") == 1
+    (block.path / "block.json").write_text(json.dumps(record))  # as before there was a number
+    assert written(city, scene, gaussians).path == block.path and block.read() == record
     city.write_partition({"method": "another"})
     refused(lambda: written(city, scene, gaussians), "holds a block of another partition")
     assert (block.path / "run").exists()

@@ -17,7 +17,7 @@ from clsplat.cities.workers import Workers
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply
-from clsplat.io.npz import read_npz, write_npz
+from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.records import write_object
 from clsplat.io.runs.city import BLOCK, EXCHANGES, OTHERS, BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder
@@ -320,6 +320,14 @@ def test_parts_that_cannot_be_used_are_named(city):
         with pytest.raises(InputError, match=r"exchange_1.npz: not .*damaged .* train that block"):
             exchange.exchange(block, BlockScene.read(block), exchange.other_blocks(block),
                               block_options(block), 1)
+    arrays = read_npz(block.exchanged(1))
+    state = json.loads(arrays["state.json"].tobytes())
+    assert state["format"] == 1
+    with open(other.exchanged(1), "wb") as file:
+        write_npz(file, {**arrays, "state.json": state_array({**state, "format": 2})})
+    with pytest.raises(InputError, match=r"exchange_1.npz: has format 2, .* newer clsplat"):
+        exchange.exchange(block, BlockScene.read(block), exchange.other_blocks(block),
+                          block_options(block), 1)
     record = json.loads((other.path / BLOCK).read_text())
     (other.path / BLOCK).write_text(json.dumps({**record, "partition": "another"}))
     with pytest.raises(InputError, match="a block of another partition"):

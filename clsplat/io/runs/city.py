@@ -23,7 +23,14 @@ from clsplat.io.fields import number
 from clsplat.io.folders import new_folder
 from clsplat.io.models.ply import START, start_of, write_ply
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
-from clsplat.io.records import digest_of, object_of, read_object, write_object
+from clsplat.io.records import (
+    FORMAT_KEY,
+    digest_of,
+    object_of,
+    read_object,
+    with_format,
+    write_object,
+)
 from clsplat.io.regular import read_regular
 from clsplat.io.runs.run import CITY, FILES, RunFolder, write_exposures
 from clsplat.io.scenes.write import link_again, write_scene
@@ -78,7 +85,7 @@ class CityFolder:
 
     def write(self, record: dict[str, Any]) -> None:
         """Replace city.json by a dict, with at least the `fingerprint` of the whole scene."""
-        write_object(self.path / CITY, record)
+        write_object(self.path / CITY, with_format(record))
 
     def read(self, **kinds: type) -> dict[str, Any]:
         """Read city.json; `kinds` are the types of keys that are needed besides `fingerprint`."""
@@ -170,7 +177,9 @@ class CityFolder:
         block = self.block(number)
         record = json.loads(json.dumps({"number": number, **identity, "options": options}))
         if block.is_there:
-            if {**block.read(), START: ""} != {**record, START: ""}:
+            # one that an earlier format describes in the same words is the same
+            varying = {START: "", FORMAT_KEY: 0}
+            if {**block.read(), **varying} != {**record, **varying}:
                 raise InputError(f"{block.path}: holds a block of another partition, or with other "
                                  "options; remove it, or choose another --output")
             link_again(block.path, [scene.views[index] for index in views])
@@ -190,7 +199,8 @@ class CityFolder:
                     view.name: exposures[view.name] for view in part.views
                     if view.name in exposures})
             write_ply(partial / INITIAL, initial, scene.offset, sphere=True)
-            write_object(partial / BLOCK, {**record, START: digest_of(partial / INITIAL)})
+            record[START] = digest_of(partial / INITIAL)
+            write_object(partial / BLOCK, with_format(record))
         return block
 
 

@@ -22,7 +22,14 @@ from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
-from clsplat.io.records import object_of, plain, read_object, write_object
+from clsplat.io.records import (
+    check_format,
+    object_of,
+    plain,
+    read_object,
+    with_format,
+    write_object,
+)
 from clsplat.io.regular import read_regular
 from clsplat.io.runs.origin import origin, recorded_scene, scene_record
 from clsplat.placement.corrections import Correction
@@ -128,7 +135,7 @@ class RunFolder:
         if self._replaces:
             self._remove_files()
             self._replaces = False
-        record = {**record, **origin()}
+        record = with_format({**record, **origin()})
         if "scene" in record:
             record |= scene_record(record["scene"], self.path)
         write_object(self.path / OPTIONS, plain(record), indent=2)
@@ -155,15 +162,16 @@ class RunFolder:
         return (self.path / OPTIONS).is_file()
 
     def log(self, record: dict[str, Any]) -> None:
-        """Append one line to the metrics; numbers that are not finite become null."""
+        """Append one line to the metrics, of which the first has the number of the format; numbers
+        that are not finite become null."""
         path = self.path / METRICS
-        line = _line(record)
         try:
             with open(path, "ab") as file:
                 if not self._metrics_whole:
                     file.truncate(len(_whole_lines(path.read_bytes())))
                     self._metrics_whole = True
-                file.write(line)
+                is_first = os.fstat(file.fileno()).st_size == 0
+                file.write(_line(with_format(record) if is_first else record))
         except OSError as error:
             self._metrics_whole = False
             raise InputError(f"{path}: cannot be written ({error.strerror}); "
@@ -189,6 +197,7 @@ class RunFolder:
         for number, line in enumerate(lines, 1):
             try:
                 records.append(object_of(line))
+                check_format(path, records[-1])
             except ValueError as error:
                 raise InputError(f"{path}: line {number} is damaged ({reason(error)}); "
                                  "remove that line") from None
@@ -223,7 +232,7 @@ class RunFolder:
         """Replace the checkpoint by arrays and a state for JSON; if this fails, such as on a full
         disk, the previous checkpoint stays."""
         with replacing(self.path / CHECKPOINT) as file:
-            write_npz(file, {**arrays, STATE: state_array(state)})
+            write_npz(file, {**arrays, STATE: state_array(with_format(state))})
 
     def remove_checkpoint(self) -> None:
         """Remove the checkpoint, if there is one."""
@@ -243,7 +252,9 @@ class RunFolder:
         cure = "copy it again, or start the run again with --overwrite"
         with reading(path, "a checkpoint", cure):
             arrays = read_npz(path, lambda name: name == STATE or wanted(name))
-            return arrays, object_of(arrays.pop(STATE).tobytes())
+            state = object_of(arrays.pop(STATE).tobytes())
+            check_format(path, state)
+            return arrays, state
 
     def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = ()
                    ) -> None:

@@ -14,6 +14,8 @@ import clsplat
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
+from clsplat.io.npz import read_npz, state_array, write_npz
+from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder
 from tests.refusals import refused
 
@@ -30,7 +32,7 @@ def run(tmp_path):
 
 def same(loaded):
     arrays, state = loaded
-    assert state == STATE and list(arrays) == list(ARRAYS)
+    assert state == {**STATE, "format": 1} and list(arrays) == list(ARRAYS)
     for name, array in ARRAYS.items():
         assert arrays[name].dtype == array.dtype and np.array_equal(arrays[name], array)
 
@@ -62,10 +64,10 @@ def test_options(run, tmp_path, monkeypatch):
                        "fingerprint": "f00", "device": "cpu"})
     record = RunFolder.open(run.path).read_options()
     assert record.pop("date") and record.pop("command", None) is None
-    assert record.pop("commit") is None or len(record) == 7
+    assert record.pop("commit") is None or len(record) == 8
     assert record == {"scene": "../../town", "scene_absolute": str(tmp_path / "town"),
                       "options": {"seed": 3, "init": "a.ply"}, "fingerprint": "f00",
-                      "device": "cpu", "version": clsplat.__version__,
+                      "device": "cpu", "version": clsplat.__version__, "format": 1,
                       "average": 0.0}  # as in versions without it
     for text in ("{", "[]", ""):
         (run.path / "options.json").write_text(text)
@@ -103,6 +105,70 @@ def test_damaged_metrics(run):
     assert run.records() == []
     (run.path / "metrics.jsonl").write_text('{"iteration": 1}\nhello\n{"iteration": 2}\n')
     refused(run.records, "metrics.jsonl", "line 2")
+    (run.path / "metrics.jsonl").write_text('{"format": "1"}\n')
+    refused(run.records, "metrics.jsonl", "line 1", "format")
+
+
+def options_of_format(run, number):
+    run.write_options({"seed": 3})
+    record = json.loads((run.path / "options.json").read_text("utf-8"))
+    assert record.pop("format") == 1
+    (run.path / "options.json").write_text(json.dumps(record | number), "utf-8")
+    assert run.read_options()["seed"] == 3
+
+
+def metrics_of_format(run, number):
+    (run.path / "metrics.jsonl").unlink(missing_ok=True)
+    run.log({"event": "plan"})
+    run.log({"event": "step"})
+    first, second = (json.loads(line) for line in (run.path / "metrics.jsonl").open(
+        encoding="utf-8"))
+    assert first.pop("format") == 1 and "format" not in second
+    (run.path / "metrics.jsonl").write_text(json.dumps(first | number) + "\n", "utf-8")
+    assert [record["event"] for record in run.records()] == ["plan"]
+
+
+def checkpoint_of_format(run, number):
+    run.save_checkpoint(ARRAYS, STATE)
+    arrays = read_npz(run.path / "checkpoint.npz")
+    assert json.loads(arrays["state.json"].tobytes())["format"] == 1
+    with open(run.path / "checkpoint.npz", "wb") as file:
+        write_npz(file, {**arrays, "state.json": state_array(STATE | number)})
+    assert run.load_checkpoint()[1]["iteration"] == 500
+
+
+def city_of_format(run, number):
+    city = CityFolder(run.path)
+    city.write({"fingerprint": "f00"})
+    assert city.read()["format"] == 1
+    (run.path / "city.json").write_text(json.dumps({"fingerprint": "f00"} | number), "utf-8")
+    assert city.read()["fingerprint"] == "f00"
+
+
+def block_of_format(run, number):
+    record = {"number": 0, "city": "f00", "partition": "a", "options": {}} | number
+    (run.path / "block.json").write_text(json.dumps(record), "utf-8")
+    assert BlockFolder(run.path).read()["number"] == 0
+
+
+@pytest.mark.parametrize("name, write", [
+    ("options.json", options_of_format), ("metrics.jsonl", metrics_of_format),
+    ("checkpoint.npz", checkpoint_of_format), ("city.json", city_of_format),
+    ("block.json", block_of_format)])
+def test_a_file_of_a_newer_clsplat_is_refused_and_one_without_a_number_is_read(run, name, write):
+    for number in ({}, {"format": 0}, {"format": 1}):
+        write(run, number)
+    message = refused(lambda: write(run, {"format": 2}), name, "format 2",
+                      "install the newer clsplat")
+    assert "damaged" not in message
+
+
+def test_metrics_that_begin_anew_have_the_number_again(run):
+    run.log({"event": "step", "iteration": 3})
+    run.rewind(2)
+    run.log({"event": "plan"})
+    run.log({"event": "step"})
+    assert run.records() == [{"event": "plan", "format": 1}, {"event": "step"}]
 
 
 def test_checkpoint(run):
@@ -118,7 +184,7 @@ def test_checkpoint(run):
     with zipfile.ZipFile(run.path / "checkpoint.npz") as archive:
         assert {i.compress_type for i in archive.infolist()} == {zipfile.ZIP_STORED}
     plain = np.load(run.path / "checkpoint.npz", allow_pickle=False)
-    assert json.loads(plain["state.json"].tobytes()) == STATE
+    assert json.loads(plain["state.json"].tobytes()) == {**STATE, "format": 1}
 
 
 def test_checkpoint_cut_short(run):
