@@ -51,6 +51,53 @@ def test_readme_is_run(listed):
     assert len(listed) > 10 and all(run for _, run in listed)
 
 
+@pytest.fixture
+def release(tmp_path, monkeypatch):
+    """tools/release of a checkout in tmp_path, and a function that runs git there."""
+    module = loaded("tools/release")
+    monkeypatch.setattr(module, "ROOT", tmp_path)
+    for name in ("AUTHOR", "COMMITTER"):
+        monkeypatch.setenv(f"GIT_{name}_NAME", "nobody")
+        monkeypatch.setenv(f"GIT_{name}_EMAIL", "nobody@example.org")
+    (tmp_path / "clsplat").mkdir()
+    (tmp_path / "clsplat" / "__init__.py").write_text('__version__ = "0.1.0"\n')
+    (tmp_path / "CHANGELOG.md").write_text("# Changelog\n\n## 0.1.0 (2026-12-01)\n")
+    module.git = lambda *words: module.run("git", *words, cwd=tmp_path)
+    module.git("init", "--quiet")
+    module.git("add", ".")
+    module.git("commit", "--quiet", "-m", "all")
+    return module
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_a_release_is_refused_with_its_cause(release, tmp_path):
+    def refused(word, version="0.1.0"):
+        with pytest.raises(SystemExit, match=word):
+            release.check(version)
+
+    release.check("0.1.0")
+    refused("0.2.0 is asked for, .* has 0.1.0, .* 0.1.0", "0.2.0")
+    release.git("tag", "v0.1.0")
+    release.check("0.1.0")  # in CI the tag is there
+    for text, word in (("0.2.0 (2026-12-01)", "CHANGELOG.md 0.2.0"),
+                       ("0.1.0 (unreleased)", "write its date"), ("0.1.0 (2026-12-02)", "commit")):
+        (tmp_path / "CHANGELOG.md").write_text(f"# Changelog\n\n## {text}\n")
+        refused(word)
+    release.git("commit", "--quiet", "-am", "later")
+    refused("never replaced")
+
+
+def test_what_pip_took_from_the_index_is_counted(release):
+    """Not the files that only describe packages, nor the wheel itself."""
+    said = """Processing ./clsplat-0.1.0-py3-none-any.whl
+Downloading a-1-py3-none-any.whl.metadata (2.4 kB)
+Downloading a-1-py3-none-any.whl (12.5 MB)
+   \u2501\u2501\u2501 12.5/12.5 MB 3.5 MB/s eta 0:00:00
+Using cached b-2.tar.gz (500 kB)
+"""
+    assert release.downloaded(said) == (2, pytest.approx(13.0))
+
+
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
 
 

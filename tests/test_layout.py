@@ -15,7 +15,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 TOP_LEVEL = {"setup.cfg", "pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md",
-             "CONTRIBUTING.md", "clsplat", "cl", "tools", "tests", "data_samples", "docs"}
+             "CONTRIBUTING.md", "CITATION.cff", "MANIFEST.in", "clsplat", "cl", "tools", "tests",
+             "data_samples", "docs"}
 BUILD_OUTPUTS = {"out", "build", "dist", "clsplat.egg-info", "__pycache__"}
 
 # a module imports from its own package and from the lines above its own
