@@ -80,4 +80,3 @@ POSE_BLOCK: Final = 1024  # gaussians that a partial sum of the pose's gradient 
 
 SHARED: Final = MappingProxyType(
     {name: value for name, value in list(globals().items()) if name.isupper()})
-

@@ -305,4 +305,3 @@ class Pages:
         self.device.launch(REST_ROWS, PAGED, count=len(rows), rows=rows, places=self.places,
                            slots=self.slots, lies=lies)
         return lies
-

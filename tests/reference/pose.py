@@ -65,5 +65,3 @@ def step(poses, first, second, counts, view, grad, rate, pull):
     spread = np.zeros_like(poses)
     spread[view] = grad + pull * poses[view]
     return *adam(poses, spread, first, second, int(counts[view]), rate, rows=[view]), counts
-
-

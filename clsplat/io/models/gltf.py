@@ -240,4 +240,3 @@ def _rows(document: dict[str, Any], content: bytes, primitive: dict[str, Any]
     if len({len(column) for column in rows.values()}) != 1:
         raise ValueError("its attributes differ in number")
     return rows
-
