@@ -4,6 +4,7 @@ Poses are camera to world with camera axes right, up, back. Keys that do not des
 such as aabb_scale, are ignored.
 """
 
+import re
 from collections.abc import Mapping
 from os.path import isfile
 from pathlib import Path, PurePosixPath
@@ -25,6 +26,7 @@ ALL, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.
 SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")  # tried if file_path has none
 # of FULL_OPENCV; elsewhere k4 is the factor of r^8
 DIVIDES = {"k4": "d1", "k5": "d2", "k6": "d3"}
+LEADS_AWAY = re.compile(r"\.\.|//?|[A-Za-z]:")  # such parts of a path
 MODEL = ("camera_model", "is_fisheye")
 FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
 # camera_model -> models of COLMAP
@@ -120,7 +122,9 @@ def _photo(folder: Path, file_path: object) -> tuple[str, Path]:
     photo = text(file_path, "file_path").replace("\\", "/")
     if not isfile(folder / photo):
         photo += next((suffix for suffix in SUFFIXES if isfile(folder / (photo + suffix))), "")
-    parts = [part for part in PurePosixPath(photo).parts if part not in ("..", "/")]
+    # pictures are written under the name, so it must not leave their folder: neither up, nor to the
+    # root, nor to another drive of Windows
+    parts = [part for part in PurePosixPath(photo).parts if not LEADS_AWAY.fullmatch(part)]
     return "/".join(parts), folder / photo
 
 
