@@ -104,6 +104,8 @@ SCENES = {
 @pytest.mark.parametrize("case", SCENES)
 def test_scenes_that_are_refused(tmp_path, case):
     spoil, words = SCENES[case]
+    if os.name == "nt" and case in ("photo is a device", "cameras is a pipe"):
+        pytest.skip("Windows has no such files")
     folder = write_scene(tmp_path / "town")
     spoil(folder)
     refused(folder, *words)

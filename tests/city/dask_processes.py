@@ -1,7 +1,6 @@
 """A Dask scheduler and workers as users start them: processes, here on one machine."""
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -58,7 +57,7 @@ class DaskProcesses:
     def kill(process):
         """End it as `kill -9` does; unlike a machine that is lost, it leaves no nanny behind."""
         if process.poll() is None:
-            process.send_signal(signal.SIGKILL)
+            process.kill()
         process.wait(ENDED_SECONDS)
 
     def _dask(self, *words, device=""):

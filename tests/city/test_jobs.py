@@ -21,6 +21,7 @@ from clsplat.cities.workers import LOG, MOST_TRIES, Workers
 from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.io.lock import exclusive
 from tests.city.jobs_driver import DONE, ENDS, NO_DEVICE, STARTS, STATE, STEPPED, lines, some_jobs
+from tests.signals import needs_signals
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -148,6 +149,7 @@ def test_each_process_has_its_device_and_cache_and_stays(tmp_path):
     assert len(seen) == 2 == len({each[0] for each in seen}) == len({each[3] for each in seen})
 
 
+@needs_signals
 @pytest.mark.slow
 def test_a_process_is_replaced_after_a_failure_and_when_it_dies(tmp_path):
     """What a job prints goes to its own log."""
@@ -203,13 +205,17 @@ def driver(*words, on_interrupt=signal.SIG_DFL):
     return subprocess.Popen([sys.executable, "-m", "tests.city.jobs_driver", *map(str, words)],
                             cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                             start_new_session=True,
-                            preexec_fn=lambda: signal.signal(signal.SIGINT, on_interrupt))
+                            # Windows has none
+                            preexec_fn=None if os.name == "nt" else (
+                                lambda: signal.signal(signal.SIGINT, on_interrupt)))
 
 
+@needs_signals
 @pytest.mark.slow
-@pytest.mark.parametrize("number, on_interrupt", [
-    (signal.SIGINT, signal.SIG_DFL), (signal.SIGKILL, signal.SIG_IGN)], ids=["Ctrl-C", "kill -9"])
-def test_processes_save_and_end_with_their_parent(tmp_path, number, on_interrupt):
+@pytest.mark.parametrize("name, on_interrupt", [
+    ("SIGINT", signal.SIG_DFL), ("SIGKILL", signal.SIG_IGN)], ids=["Ctrl-C", "kill -9"])
+def test_processes_save_and_end_with_their_parent(tmp_path, name, on_interrupt):
+    number = getattr(signal, name)
     given = some_jobs(tmp_path, 3)
     parent = driver(tmp_path, 3, 9999, 2, on_interrupt=on_interrupt)
     assert eventually(lambda: all(lines(job, STEPPED) for job in given[:2]))
@@ -318,6 +324,7 @@ def test_a_scheduler_that_is_restarted(dask, tmp_path):
     assert sum(map(int, re.findall(r" (\d+)\n", output))) == len(given) + 1
 
 
+@needs_signals
 @pytest.mark.slow
 def test_ctrl_c_stops_the_jobs_of_the_cluster(dask, tmp_path):
     given = some_jobs(tmp_path, 2)

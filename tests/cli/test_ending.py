@@ -24,7 +24,7 @@ def test_an_interrupt_that_a_library_made_an_error_of_is_no_bug(number, code, re
     @click.command("burn")
     def burn():
         try:
-            os.kill(os.getpid(), number)
+            signal.raise_signal(number)
             time.sleep(5)
         except KeyboardInterrupt:
             raise SystemError("<built-in> returned a result with an exception set") from None
@@ -62,10 +62,10 @@ def test_a_training_ends_with_what_can_be_done(name, shown, page, tmp_path, monk
 @pytest.mark.parametrize("name", ["verdict", "say"])
 def test_a_second_ctrl_c_while_the_first_one_is_told(name):
     result = python(
-        "-c", "import os, signal, sys\nimport clsplat.__main__ as entry\n"
+        "-c", "import signal, sys\nimport clsplat.__main__ as entry\n"
         "import clsplat.cli.main as cli\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "interrupt = lambda *_: os.kill(os.getpid(), signal.SIGINT)\n"
+        "interrupt = lambda *_: signal.raise_signal(signal.SIGINT)\n"
         "cli.devices.invoke = interrupt\n"
         f"tell = cli.{name}\n"
         f"cli.{name} = lambda *words: (interrupt(), tell(*words))[1]\n"
@@ -77,11 +77,11 @@ def test_a_second_ctrl_c_while_the_first_one_is_told(name):
 
 def test_ctrl_c_while_the_program_starts():
     """Before the command line is there: no traceback, and the same exit code."""
-    result = python("-c", "import os, signal, sys\nimport clsplat.__main__ as entry\n"
+    result = python("-c", "import signal, sys\nimport clsplat.__main__ as entry\n"
                     "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
                     "class Kill:\n"
                     "    def find_spec(self, name, path=None, target=None):\n"
-                    "        if name == 'clsplat.cli': os.kill(os.getpid(), signal.SIGINT)\n"
+                    "        if name == 'clsplat.cli': signal.raise_signal(signal.SIGINT)\n"
                     "sys.meta_path.insert(0, Kill())\nentry.run()")
     assert (result.returncode, result.stderr) == (130, "interrupted: give the same command again\n")
 

@@ -12,7 +12,7 @@ from urllib.request import urlopen
 import pytest
 
 from tests.data.tiny_training import CITY
-from tests.signals import listen
+from tests.signals import listen, needs_signals
 
 
 class Started:
@@ -40,6 +40,7 @@ def read(address):
         return response.read().decode()
 
 
+@needs_signals
 @pytest.mark.slow
 def test_train_and_view(tmp_path):
     run, options = tmp_path / "run", ("-n", 300, "-r", 8, "-q")

@@ -19,7 +19,7 @@ from clsplat.training.step import Step
 from tests.command_line import clsplat_
 from tests.data import tiny_training
 from tests.data.tiny_training import LEVELLED, model_digest, options_of, records, resumed, trained
-from tests.signals import listen
+from tests.signals import listen, needs_signals
 
 TIMES = ("train_seconds", "wall_seconds", "memory_bytes", "peak_bytes")
 
@@ -206,6 +206,7 @@ def started(folder, wait_for):
     return process
 
 
+@needs_signals
 @pytest.mark.slow
 def test_killed_and_resumed(tmp_path, undisturbed):
     folder, whole = tmp_path / "run", undisturbed
@@ -222,6 +223,7 @@ def test_killed_and_resumed(tmp_path, undisturbed):
     assert not list(folder.glob("*.partial*"))
 
 
+@needs_signals
 @pytest.mark.slow
 def test_interrupted_and_resumed_as_it_says(tmp_path, undisturbed):
     folder, whole = tmp_path / "run", undisturbed

@@ -1,7 +1,5 @@
 """A scene folder in map coordinates: whole or not at all, wherever it is written."""
 
-import resource
-
 import numpy as np
 import pycolmap
 import pytest
@@ -61,6 +59,7 @@ def test_the_new_folder_may_be_in_that_of_the_scene(tmp_path, survey):
 
 def test_a_full_disk_leaves_nothing(tmp_path, survey):
     """pycolmap cuts its files short and says nothing."""
+    resource = pytest.importorskip("resource")
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (8192, limit[1]))
     try:

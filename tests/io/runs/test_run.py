@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import signal
 import zipfile
 from pathlib import Path
@@ -199,6 +198,7 @@ def test_checkpoint_cut_short(run):
 @pytest.fixture
 def full_disk():
     """No file may grow past 64 KiB, which fails as a full disk does."""
+    resource = pytest.importorskip("resource")
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (65536, limit[1]))
