@@ -10,6 +10,7 @@ from importlib.machinery import SourceFileLoader
 
 import pytest
 
+import clsplat
 from tests.shared_kernels import SharedKernels
 from tests.test_layout import ROOT
 
@@ -85,6 +86,24 @@ def test_a_release_is_refused_with_its_cause(release, tmp_path):
         refused(word)
     release.git("commit", "--quiet", "-am", "later")
     refused("never replaced")
+
+
+def test_the_recipe_of_conda_asks_for_what_setup_cfg_does():
+    recipe = (ROOT / "tools/packaging/recipe.yaml").read_text("utf-8")
+    asked = dict(re.findall(r"(?m)^    - ([\w-]+) >=([\w.]+)", recipe.partition("  run:")[2]))
+    other = {"matplotlib": "matplotlib-base", "OpenImageIO": "py-openimageio"}
+    declared = dict(re.findall(r"(?m)^([\w-]+)>=([\w.]+)", CONFIG["options"]["install_requires"]))
+    assert asked == {other.get(name, name): version for name, version in declared.items()}
+    assert f'version: "{clsplat.__version__}"' in recipe
+
+
+@pytest.mark.parametrize("name", ["Containerfile", "clsplat.def"])
+def test_a_container_has_what_a_wheel_is_built_of(name):
+    recipe = (ROOT / "tools/packaging" / name).read_text("utf-8")
+    needed = {"setup.cfg", "pyproject.toml", "README.md", "LICENSE", "clsplat", "cl",
+              *(ROOT / "MANIFEST.in").read_text("utf-8").partition("\n")[0].split()[1:]}
+    copied = {word for line in recipe.splitlines() if "/src/" in line for word in line.split()}
+    assert needed <= copied and all((ROOT / each).exists() for each in needed)
 
 
 def test_what_pip_took_from_the_index_is_counted(release):
