@@ -110,8 +110,8 @@ class BlockRun(RunFolder):
             write_npz(file, {**kept, STATE: state_array(with_format({
                 TRAINING: state, "unit": scene.unit, "offset": scene.offset.tolist(),
                 CITY: record[CITY], START: self._block.start()}))})
-        self.owned = owned, {name: values[:0] for name, values in kept.items()
-                             if _is_by_gaussian(name)}
+        self.owned = owned, {name: values[:0].copy() for name, values in kept.items()
+                             if _is_by_gaussian(name)}  # copies, or all rows would stay in memory
         self.remove_checkpoint()
 
 
