@@ -28,7 +28,7 @@ from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.scene import Scene
 from clsplat.schedule.plan import SceneFacts
 from clsplat.schedule.steps import worthwhile_steps
-from clsplat.training.loop import train_or_resume
+from clsplat.training.loop import training_of
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
 from clsplat.training.start.prepare import scene_facts
@@ -162,7 +162,7 @@ def train_coarse(city: City, progress: SilentProgress | None = None, joint: bool
         if folder.is_begun:  # as it was begun: on another device there may be no joint training
             coarse = dataclasses.replace(
                 coarse, iterations=Run.open(folder.path).options.iterations)
-        train_or_resume(city.pinhole, coarse, city.device, folder, progress)
+        training_of(city.pinhole, coarse, city.device, folder, progress).take()
     return folder
 
 

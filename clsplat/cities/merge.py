@@ -46,10 +46,11 @@ from clsplat.partition.region import Partition, world_of
 from clsplat.report.figures.map import write_map
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
-from clsplat.training.loop import train_or_resume, trained_on
+from clsplat.training.loop import training_of
 from clsplat.training.part import Part
 from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.progress import SilentProgress
+from clsplat.training.start.begin import trained_on
 
 READ_TOGETHER = 4  # blocks, where all of them will be in memory
 FILLED = ("merged", "coarse")  # states of a block whose cell is filled
@@ -349,8 +350,8 @@ def train_jointly(city: City, merged: Merged, progress: SilentProgress | None = 
         if together.exposure == "on":
             parts.append(PhotoResponses(read_exposures(folder.coarse)))
         with run.locked():
-            train_or_resume(dataclasses.replace(city.pinhole, notes=()), together, city.device, run,
-                            progress, parts=parts)
+            training_of(dataclasses.replace(city.pinhole, notes=()), together, city.device, run,
+                        progress, parts=parts).take()
     gaussians = run.load_model(scene.offset)
     owner = folder.partition(scene).owner(world_of(scene, gaussians.positions))
     order = np.argsort(owner, kind="stable")

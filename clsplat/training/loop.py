@@ -27,8 +27,7 @@ from clsplat.io.models.ply import START, start_comment
 from clsplat.io.models.values import mode_comment
 from clsplat.io.photos.depth import with_depths
 from clsplat.io.photos.undistort import undistorted
-from clsplat.io.records import digest_of
-from clsplat.io.runs.run import OPTIONS, PART_OF_CITY, RunFolder
+from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.read import fingerprint
 from clsplat.options import TrainOptions
 from clsplat.report.run import write_report
@@ -42,7 +41,7 @@ from clsplat.training.part import Part
 from clsplat.training.photos import THREADS, size_note
 from clsplat.training.progress import WARNING, SilentProgress, Watcher, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Clock, Evaluator, Recorder, broken
-from clsplat.training.start.begin import begin
+from clsplat.training.start.begin import begin, trained_on
 from clsplat.training.start.prepare import find_warnings, is_stage, prepare
 from clsplat.training.step import Measured
 
@@ -60,15 +59,7 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     another takes its place. Raises Interrupted on Ctrl-C, or where an option or a callback stops
     it; the state is saved.
     """
-    Training(scene, options, device, run, progress, callbacks=callbacks, watcher=watcher,
-             parts=parts).take()
-
-
-def trained_on(scene: Scene, init: str, device: Device, is_stage: bool = False) -> dict[str, Any]:
-    """What a run is trained on and begins with (the option `init`), for its options.json."""
-    return {"scene": scene.path, "fingerprint": fingerprint(scene), START: digest_of(init),
-            "opencl_device": device.name, "kernel_form": device.form, "extent": scene.extent,
-            "offset": scene.offset.tolist(), PART_OF_CITY: is_stage}
+    Training(scene, options, device, run, progress, None, callbacks, watcher, parts=parts).take()
 
 
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
@@ -91,8 +82,8 @@ def resumed(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         (progress.message if progress else logging.getLogger(__name__).warning)(
             f"{run.path}: has no checkpoint, so the training begins again at step 1")
         run.rewind(-1)
-        return Training(scene, options, device, run, progress, callbacks=callbacks,
-                        watcher=watcher, parts=parts)
+        return Training(scene, options, device, run, progress, None, callbacks, watcher,
+                        parts=parts)
     match record:  # another version may choose other levels
         case {"decisions": {"levels": [*levels]}} if getattr(options, "levels", None) == ():
             options = dataclasses.replace(options, levels=checked(
@@ -116,17 +107,10 @@ def resumed(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     return training
 
 
-def train_or_resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
-                    progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
-                    parts: Iterable[Part] = ()) -> None:
-    """Resume a run if it was begun, else train it in a new folder; arguments as for `train`."""
-    training_of(scene, options, device, run, progress, callbacks, parts).take()
-
-
 def training_of(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                 progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
                 parts: Iterable[Part] = ()) -> "Training":
-    """The training that `train_or_resume` takes on."""
+    """The training that goes on with a run, or begins in a new folder; arguments as for `train`."""
     if run.is_begun:
         return resumed(scene, options, device, run, progress, callbacks, parts=parts)
     run.begin_new()
@@ -190,10 +174,7 @@ class Training:
 
         `closes` : then no more photos are read, and the training cannot go on in this process."""
         with self.resumable(closes):
-            if self.recorded:
-                self.begin()
-            else:
-                self.record()
+            (self.begin if self.recorded else self.record)()
             self.run_to_end()
 
     def run_to_end(self) -> None:

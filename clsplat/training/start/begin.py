@@ -7,13 +7,19 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from clsplat.device import Device, Kernel
 from clsplat.gaussians import Gaussians
+from clsplat.io.models.ply import START
+from clsplat.io.records import digest_of
+from clsplat.io.runs.run import PART_OF_CITY
+from clsplat.io.scenes.read import fingerprint
 from clsplat.loss import image_loss
 from clsplat.optimise import adam
 from clsplat.primitives import compact, gather, reduce, sort
 from clsplat.rendering import bin, blend, cull, project
+from clsplat.scene import Scene
 from clsplat.training import frequency
 from clsplat.training.parts import parts_of
 from clsplat.training.photos import THREADS, Photos, begin_checks, begin_photos, photo_array
@@ -56,6 +62,13 @@ def begin(prepared: PreparedScene, device: Device, folder: Path, progress: Silen
         reading.pop_all()
         threads.shutdown(wait=False)
     return session, start.seconds
+
+
+def trained_on(scene: Scene, init: str, device: Device, is_stage: bool = False) -> dict[str, Any]:
+    """What a run is trained on and begins with (the option `init`), for its options.json."""
+    return {"scene": scene.path, "fingerprint": fingerprint(scene), START: digest_of(init),
+            "opencl_device": device.name, "kernel_form": device.form, "extent": scene.extent,
+            "offset": scene.offset.tolist(), PART_OF_CITY: is_stage}
 
 
 def first_kernels(prepared: PreparedScene, device: Device
