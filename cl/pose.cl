@@ -24,7 +24,7 @@
 
 // By which E = 1 + x [turn]x + y [turn]x^2, and the derivative of E by turn, a turn from the left,
 // 1 + y [turn]x + z [turn]x^2 (Rodrigues' formula and its left Jacobian).
-inline real3 turn_factors(real3 turn)
+static inline real3 turn_factors(real3 turn)
 {
     const real angle = length(turn), half_angle = angle / 2;
     const real sinc = half_angle > 0 ? sin(half_angle) / half_angle : 1;

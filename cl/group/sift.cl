@@ -49,7 +49,7 @@ inline real share_of(real direction, int bin, int bins)
     return fmax(1 - fmin(away, bins - away), (real)0);
 }
 
-inline void describe_one(Surroundings from, real angle, __local real *patch, __local real *lengths,
+static inline void describe_one(Surroundings from, real angle, __local real *patch, __local real *lengths,
                          __local real *directions, __local real *values, __local real *scratch,
                          __global uchar *descriptor)
 {
