@@ -23,7 +23,8 @@
 #endif
 
 // By which E = 1 + x [turn]x + y [turn]x^2, and the derivative of E by turn, a turn from the left,
-// 1 + y [turn]x + z [turn]x^2 (Rodrigues' formula and its left Jacobian).
+// 1 + y [turn]x + z [turn]x^2 (Rodrigues' formula and its left Jacobian). Static, as
+// clang leaves it a function, which in C99 is nowhere without that.
 static inline real3 turn_factors(real3 turn)
 {
     const real angle = length(turn), half_angle = angle / 2;

@@ -49,9 +49,12 @@ inline real share_of(real direction, int bin, int bins)
     return fmax(1 - fmin(away, bins - away), (real)0);
 }
 
-static inline void describe_one(Surroundings from, real angle, __local real *patch, __local real *lengths,
-                         __local real *directions, __local real *values, __local real *scratch,
-                         __global uchar *descriptor)
+// Always inlined: called twice, clang leaves it a function, which in C99 is then nowhere, and as a
+// static one PoCL 3.1 miscompiles its barriers.
+inline __attribute__((always_inline)) void
+describe_one(Surroundings from, real angle, __local real *patch, __local real *lengths,
+             __local real *directions, __local real *values, __local real *scratch,
+             __global uchar *descriptor)
 {
     gradients(from, DESCRIPTOR_SPACING, angle, DESCRIPTOR_SIGMA, DIRECTIONS, patch, lengths,
               directions);

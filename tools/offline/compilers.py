@@ -175,8 +175,8 @@ def parse_amd(text: str) -> list[Usage]:
         number = {name: int(value) for name, value in re.findall(
             r"remark: (?:\S+ )?\s*([A-Za-z][^:\n]*): (\d+)", part)}
         if "VGPRs" not in number:  # a formula, as the compiler does not know what is called
-            raise InputError(f"{part.split()[0]} calls a function that the program lacks; a "
-                             "function that is not inlined must be `static inline`")
+            raise InputError(f"{part.split()[0]} calls a function that the program lacks: make "
+                             "one that is not inlined static, or with barriers always_inline")
         usages.append(Usage(
             part.split()[0], number["VGPRs"] + number.get("AGPRs", 0),
             number["TotalSGPRs"], number["VGPRs Spill"], number["SGPRs Spill"],
