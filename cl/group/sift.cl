@@ -21,9 +21,14 @@ __kernel void smooth_rows(uint width, uint height, uint stride, uint before, uin
     }
 }
 
+// Not left to the compiler: clang keeps what is called twice as a function, which in C99 is then
+// nowhere, and of static ones PoCL 3.1 miscompiles the barriers.
+#define WITH_BARRIERS inline __attribute__((always_inline))
+
 // Samples of a grid, then length and direction (from 0 to `bins`) of their gradients.
-inline void gradients(Surroundings from, real spacing, real angle, real sigma, int bins,
-                      __local real *patch, __local real *lengths, __local real *directions)
+WITH_BARRIERS void gradients(Surroundings from, real spacing, real angle, real sigma, int bins,
+                             __local real *patch, __local real *lengths,
+                             __local real *directions)
 {
     const real cosine = cos(angle), sine = sin(angle);
     FOR_GROUP(index, PATCH * PATCH) {
@@ -49,12 +54,10 @@ inline real share_of(real direction, int bin, int bins)
     return fmax(1 - fmin(away, bins - away), (real)0);
 }
 
-// Always inlined: called twice, clang leaves it a function, which in C99 is then nowhere, and as a
-// static one PoCL 3.1 miscompiles its barriers.
-inline __attribute__((always_inline)) void
-describe_one(Surroundings from, real angle, __local real *patch, __local real *lengths,
-             __local real *directions, __local real *values, __local real *scratch,
-             __global uchar *descriptor)
+WITH_BARRIERS void describe_one(Surroundings from, real angle, __local real *patch,
+                                __local real *lengths, __local real *directions,
+                                __local real *values, __local real *scratch,
+                                __global uchar *descriptor)
 {
     gradients(from, DESCRIPTOR_SPACING, angle, DESCRIPTOR_SIGMA, DIRECTIONS, patch, lengths,
               directions);

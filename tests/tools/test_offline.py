@@ -89,11 +89,13 @@ def test_sizes_are_those_of_the_target_s_wave():
         64, 32, 32]
 
 
-def test_a_missing_compiler_is_named_with_its_package(monkeypatch, capsys):
+def test_a_missing_compiler_is_named_with_its_package(monkeypatch):
     monkeypatch.setattr("tools.offline.compilers.found", lambda need: None)
     assert "ocloc: install Debian's intel-opencl-icd" in missing([TARGETS["tgllp"]])
     with pytest.raises(InputError, match="ptxas: install PyPI's nvidia-cuda-nvcc-cu12"):
         offline.main(["sm_70", "--check"])
+    with pytest.raises(InputError, match="sm_7: not a target; use gfx90a, "):
+        offline.main(["sm_7"])
 
 
 FOUND = {("blend", "gfx90a"): Usage("blend", 48, waves=5, local=64),

@@ -124,10 +124,12 @@ def main(argv: Sequence[str]) -> None:
     """Compile, and print, keep or check what was found."""
     parser = argparse.ArgumentParser(prog="python -m tools.offline", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("targets", nargs="*", choices=[[], *TARGETS], metavar="TARGET")
+    parser.add_argument("targets", nargs="*", metavar="TARGET")
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--keep", action="store_true")
     options = parser.parse_args(argv)
+    if unknown := set(options.targets) - TARGETS.keys():
+        raise InputError(f"{min(unknown)}: not a target; use {', '.join(TARGETS)}")
     targets = [TARGETS[name] for name in options.targets or TARGETS]
     if options.keep and options.targets:
         raise InputError("--keep: goes with all targets; give none")

@@ -273,7 +273,8 @@ TARGETS = {target.name: target for target in (
     Target("gfx1030", "group", 32, (CLANG, DEVICE_LIBRARIES), amd),
     *(Target(name, "group", 32, (CLANG, AMD_LIBRARY), amd) for name in ("gfx1100", "gfx1201")),
     *(Target(name, "group", 32, ("ocloc",), intel) for name in ("tgllp", "acm-g10")),
-    *(Target(name, "group", 32, (CLANG, NVIDIA_LIBRARY, *CUDA), nvidia)
+    # older packages of libclc have NVIDIA's library as well, but not AMD's of this name
+    *(Target(name, "group", 32, (CLANG, AMD_LIBRARY, NVIDIA_LIBRARY, *CUDA), nvidia)
       for name in NVIDIA_LOCAL),
     *(Target(f"spirv-{form}", form, 32, (OLDER_CLANG, TRANSLATOR, "spirv-val"), spirv)
       for form in ("item", "group")))}
