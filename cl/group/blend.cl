@@ -2,8 +2,8 @@
 // splats are staged in local memory and each wave walks those that reach its sub-tile; T and C of
 // every pixel are noted once a bucket of BUCKET pairs. Adjoint, a group owns a bucket: its lanes
 // own the tile's pixels, continue (T, C) from the bucket's beginning and walk its splats front to
-// back; then a lane adds up one of a splat's sums over all lanes, through local memory, in a fixed
-// order.
+// back; then a lane, or four, add up one of a splat's sums over all lanes, through local memory, in
+// a fixed order.
 #include "subtiles.h"
 #define ROW_OF(INDEX) ((__global const real4 *)splats + (ulong)(INDEX) * (SPLAT_REALS / 4))
 #if BUCKET % 32 || ADJOINT_GROUP % WAVE || TILE * TILE % ADJOINT_GROUP
@@ -24,9 +24,10 @@
 #ifndef AT_ONCE // splats whose alphas a lane computes before it blends them: none waits for another
 #define AT_ONCE 2
 #endif
-#ifndef TOGETHER // splats whose sums the adjoint adds up at once, one lane a sum
-#define TOGETHER (ADJOINT_GROUP / SUMS < 3 ? ADJOINT_GROUP / SUMS : 3)
+#ifndef TOGETHER // splats whose sums the adjoint adds up at once; larger groups need the memory
+#define TOGETHER (ADJOINT_GROUP > 64 ? 1 : ADJOINT_GROUP / SUMS < 3 ? ADJOINT_GROUP / SUMS : 3)
 #endif
+#define PARTS (ADJOINT_GROUP >= 4 * TOGETHER * SUMS ? 4 : 1) // lanes that add up a sum
 
 // The staged columns of a splat, scaled so that the power, for base two, is k.x dx^2 + k.y dx dy +
 // k.z dy^2, and is to be at least s.w.
@@ -187,6 +188,11 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
 #ifndef ROWS_AT_ONCE // sub-tiles, one below the other, that are skipped together or not
 #define ROWS_AT_ONCE (OWNED_Y > 1 ? 2 : 1)
 #endif
+#define ADDED (ADJOINT_GROUP / 4) // vectors of a sum
+inline real sum_of(real4 v)
+{
+    return (v.x + v.y) + (v.z + v.w);
+}
 #if TOGETHER * SUMS > ADJOINT_GROUP
 #error "too many sums for the lanes"
 #endif
@@ -200,7 +206,7 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
 {
     __local real4 shape[BUCKET], conic[BUCKET];
     __local ColourAnd colour[BUCKET];
-    __local real4 sums[TOGETHER * SUMS][ADJOINT_GROUP / 4 + 1]; // + 1: rows begin in other banks
+    __local real4 sums[TOGETHER * SUMS][ADDED + 1]; // + 1: rows begin in other banks
     __local uint emission[BUCKET];
     __local uchar reached[BUCKET];
     __local uint open_subtiles;
@@ -360,13 +366,24 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
             IF_DEPTH(KEEP(SUM_DEPTH, s_z);)
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        if (lane < min(TOGETHER, todo - base) * SUMS) {
-            real4 total = sums[lane][0];
-            for (int i = 1; i < ADJOINT_GROUP / 4; i++)
-                total += sums[lane][i];
-            pair_grads[(ulong)emission[base + lane / SUMS] * SUMS + lane % SUMS] =
-                (total.x + total.y) + (total.z + total.w);
+        const int rows = min(TOGETHER, todo - base) * SUMS;
+        real total = 0;
+        if (lane < rows * PARTS) {
+            __local const real4 *part = sums[lane / PARTS] + lane % PARTS * (ADDED / PARTS);
+            real4 four = part[0];
+            for (int i = 1; i < ADDED / PARTS; i++)
+                four += part[i];
+            total = sum_of(four);
         }
+        if (PARTS > 1) { // the sums of parts fill the end of a row, which nobody reads before
+            if (lane < rows * PARTS)
+                ((__local real *)&sums[lane / PARTS][ADDED])[lane % PARTS] = total;
+            barrier(CLK_LOCAL_MEM_FENCE);
+            if (lane < rows)
+                total = sum_of(sums[lane][ADDED]);
+        }
+        if (lane < rows)
+            pair_grads[(ulong)emission[base + lane / SUMS] * SUMS + lane % SUMS] = total;
         barrier(CLK_LOCAL_MEM_FENCE);
     }
 }

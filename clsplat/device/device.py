@@ -74,10 +74,10 @@ class Device:
         most_items = handle.max_work_group_size
         self.item_runs, self.bucket = tuning["item_runs"], tuning["bucket"]
         self.group_size = min(tuning["group_size"], most_items)
-        self.adjoint_group = tuning["adjoint_waves"] * self.wave
         self.scan_group = min(tuning["scan_group"], 1 << most_items.bit_length() - 1)
         # a lane owns a pixel of a tile, which is smaller where groups are; the item form's is fixed
         self.tile = tuning["tile"] if self.form == "item" or most_items >= tuning["tile"]**2 else 8
+        self.adjoint_group = min(tuning["adjoint_waves"] * self.wave, self.tile**2)
         # an immediate allocation fails now, and not at a launch
         immediate = cl.tools.ImmediateAllocator(self.queue)
         self._pool = Arena(lambda size: immediate(self._limited(size)))

@@ -198,7 +198,7 @@ def test_nothing_leaves_the_background(device):
     assert actual.adjoint(np.ones((3, 17, 33)), *np.ones((2, 17, 33))).shape == (0, 10)
 
 
-SIZES = [(32, 32, 32), (32, 128, 64), (64, 64, 64)]
+SIZES = [(32, 32, 32), (32, 128, 64), (64, 64, 64), (64, 64, 128)]
 
 
 @pytest.mark.parametrize("wave, bucket, adjoint_group", SIZES)
@@ -233,8 +233,8 @@ def test_sizes_give_the_same_image(group_device, monkeypatch, wave, bucket, adjo
 def with_sizes(device, monkeypatch, wave, bucket, adjoint_group, tile=16):
     if precision_of(device) == "double" and bucket < 128:
         pytest.skip("double precision: with the sizes that take most local memory")
-    for name, size in {"wave": wave, "bucket": bucket, "adjoint_group": adjoint_group,
-                       "tile": tile}.items():
+    for name, size in {"wave": wave, "bucket": bucket, "tile": tile,
+                       "adjoint_group": min(adjoint_group, tile**2)}.items():
         monkeypatch.setattr(device, name, size)
 
 
