@@ -10,9 +10,9 @@ from clsplat.cities.city import Shown
 from clsplat.cities.exchange import (
     BlockRun,
     exchange,
-    exchange_in_place,
     lacking_blocks,
     other_blocks,
+    owned_at,
     remove_passed,
 )
 from clsplat.cities.jobs import Job
@@ -188,27 +188,24 @@ def train_block(block: BlockFolder, device: Device | None = None,
                         stack.pop_all()
                         _resting.append(begun)
                     return f"stops at {place}"
-                begins = None
-                if done and (begun or run.checkpoint_iteration() <= step_of(done)):
-                    if lacking := lacking_blocks(others, done):
-                        more = " ..." * (len(lacking) > MOST_NAMED)
-                        return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}{more} "
-                                "too, then this block again")
-                    if progress:
-                        progress.phase("exchanging gaussians with other blocks")
-                    if begun:
-                        exchange_in_place(begun.training, begun.run, block, scene, others, options)
-                    else:
-                        begins = exchange(block, scene, others, options, done)
-                last = alone or done == len(exchanges)
-                done = 0 if last else done + 1
+                exchanges_now = done and (begun or run.checkpoint_iteration() <= step_of(done))
+                if exchanges_now and (lacking := lacking_blocks(others, done)):
+                    more = " ..." * (len(lacking) > MOST_NAMED)
+                    return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}{more} too, "
+                            "then this block again")
                 if not begun:
-                    own = BlockRun(block, scene, done, begins)
+                    own = BlockRun(block, scene, done, owned_at(block, scene, options, done)
+                                   if exchanges_now else None)
                     begun = Begun(training_of(
                         scene.scene, options, opened, own, progress, (stop,),
                         scene.parts(options.exposure == "on")), own, scene)
                     stack.callback(begun.close)
-                    begins = None
+                if exchanges_now:
+                    if progress:
+                        progress.phase("exchanging gaussians with other blocks")
+                    exchange(begun.training, begun.run, block, scene, others, options)
+                last = alone or done == len(exchanges)
+                done = 0 if last else done + 1
                 go_on(begun, done)
                 if last:
                     return "finished"

@@ -37,7 +37,7 @@ from clsplat.training.loop import Training
 from clsplat.training.parts.average import Average
 from clsplat.training.recorder import LOG_EVERY
 
-REPLACED = "frozen.rows", "adam.last_step"  # arrays that are new after an exchange
+REPLACED = "frozen.rows", "adam.last_step"  # arrays that are new at an exchange
 TRAINING = "training"  # key of these files: the state in a checkpoint
 STATISTICS = ("statistics.grad_norm_sum", "statistics.seen_count")
 SCALES = "row.log_scales"
@@ -72,7 +72,7 @@ class BlockRun(RunFolder):
     Parameters
     ----------
     block, own : its folder, and the block as it was read.
-    begins : what it goes on from, as `exchange` returns it; None: its checkpoint.
+    begins : what it goes on from, as of `owned_at`; None: its checkpoint.
 
     Attributes
     ----------
@@ -84,7 +84,8 @@ class BlockRun(RunFolder):
                  begins: Saved | None = None) -> None:
         super().__init__(block.run)
         self._block, self._own, self.number, self._begins = block, own, number, begins
-        self.owned: tuple[NDArray[np.integer], Arrays] = np.empty(0, int), {}
+        self.owned = (np.arange(len(begins[0][POSITIONS])), _none_of(begins[0])) if begins else (
+            np.empty(0, int), {})
 
     @property
     def has_checkpoint(self) -> bool:
@@ -103,6 +104,8 @@ class BlockRun(RunFolder):
             return
         scene, record = self._own.scene.normalised(), self._block.read()
         owned = np.flatnonzero(self._own.region.owns(world_of(scene, arrays[POSITIONS])))
+        if not len(owned):
+            owned = np.zeros(1, int)  # a training begins with some gaussian
         kept = {name: values[owned] if _is_by_gaussian(name) else values
                 for name, values in arrays.items()
                 if name not in REPLACED and not name.startswith(f"{Average.name}.")}
@@ -110,8 +113,7 @@ class BlockRun(RunFolder):
             write_npz(file, {**kept, STATE: state_array(with_format({
                 TRAINING: state, "unit": scene.unit, "offset": scene.offset.tolist(),
                 CITY: record[CITY], START: self._block.start()}))})
-        self.owned = owned, {name: values[:0].copy() for name, values in kept.items()
-                             if _is_by_gaussian(name)}  # copies, or all rows would stay in memory
+        self.owned = owned, _none_of(kept)
         self.remove_checkpoint()
 
 
@@ -144,34 +146,33 @@ def remove_passed(blocks: Sequence[BlockFolder]) -> None:
                 block.exchanged(number).unlink(missing_ok=True)
 
 
-def exchange(block: BlockFolder, own: BlockScene, others: Sequence[BlockFolder],
-             options: SceneOptions, number: int) -> Saved:
-    """What a block goes on from: what it owns, and in place of its margin and its surroundings what
-    other blocks own. Gaussians of the margin bring the moments of their owner.
+def owned_at(block: BlockFolder, own: BlockScene, options: SceneOptions, number: int) -> Saved:
+    """What a block owned at an exchange, as a checkpoint that a training takes up there.
 
-    Parameters
-    ----------
-    block, own : its folder, and the block as it was read.
-    others : its `other_blocks`; without them the margin and the surroundings are again as the block
-        began with them.
-    options, number : of its training; of the exchange, from 1.
-    """
+    `block`, `own` : its folder, and the block as it was read; `options`, `number` : of its
+    training; of the exchange, from 1."""
     arrays, frame = _owned(block, number, block.read())
-    rows = {name: arrays.pop(name) for name in list(arrays) if _is_by_gaussian(name)}
-    rows = _with_beyond(rows, block, own, others, options, number)
-    scene, state = _as_trained(own, options), frame[TRAINING]
-    trains = trainable(scene, own.region, rows[POSITIONS], rows[SCALES])
-    return {**arrays, **rows, **{name: np.zeros_like(rows[name]) for name in STATISTICS},
-            "frozen.rows": (~trains).astype(np.uint32),
+    state = frame[TRAINING]
+    trains = trainable(_as_trained(own, options), own.region, arrays[POSITIONS], arrays[SCALES])
+    return {**arrays, "frozen.rows": (~trains).astype(np.uint32),
             "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
 
 
-def exchange_in_place(training: Training, run: BlockRun, block: BlockFolder, own: BlockScene,
-                      others: Sequence[BlockFolder], options: SceneOptions) -> None:
-    """As `exchange`, in a training that has come to it in this process: what the block owns stays
-    on the device. It goes on to the same bytes."""
+def exchange(training: Training, run: BlockRun, block: BlockFolder, own: BlockScene,
+             others: Sequence[BlockFolder], options: SceneOptions) -> None:
+    """Put what other blocks own in place of the margin and the surroundings of a block, whose
+    training has come to an exchange. Gaussians of the margin bring the moments of their owner.
+
+    Parameters
+    ----------
+    training, run : of the block, which has just been saved there, or begins at what it owned.
+    block, own : its folder, and the block as it was read.
+    others : its `other_blocks`; without them the margin and the surroundings are again as the block
+        began with them.
+    options : of the training.
+    """
     owned, none = run.owned
-    rows = _with_beyond(dict(none), block, own, others, options, run.number)
+    rows = _beyond(none, block, own, others, options, run.number)
     by_kind: dict[str, Arrays] = {kind: {} for kind in BY_GAUSSIAN}
     for name, values in rows.items():
         kind, _, field = name.partition(".")
@@ -183,26 +184,25 @@ def _as_trained(own: BlockScene, options: SceneOptions) -> Scene:
     return own.scene.reduced(options.downscale, options.max_resolution).normalised()
 
 
-def _with_beyond(rows: Arrays, block: BlockFolder, own: BlockScene, others: Sequence[BlockFolder],
-                 options: SceneOptions, number: int) -> Arrays:
-    """Rows of a block, by name as in a checkpoint, and behind them what it holds of others; other
-    arguments as for `exchange`."""
+def _beyond(none: Arrays, block: BlockFolder, own: BlockScene, others: Sequence[BlockFolder],
+            options: SceneOptions, number: int) -> Arrays:
+    """What a block holds and does not own, by name as in a checkpoint, `none` of which are no rows;
+    other arguments as for `exchange`."""
     record, scene = block.read(), _as_trained(own, options)
     if others:
-        return _with_others(rows, others, number, record, scene, own.region)
+        return _of_others(none, others, number, record, scene, own.region)
     start = read_ply(block.initial, scene.offset).scaled(1 / scene.unit).with_sh_degree(
         record["options"]["sh_degree"])
     beyond = ~own.region.owns(world_of(scene, start.positions))
-    first = len(rows[SCALES])
-    rows = _longer(rows, int(beyond.sum()))
+    rows = _zeros(none, int(beyond.sum()))
     for name, values in start.rows.items():
-        rows[f"row.{name}"][first:] = values[beyond]
+        rows[f"row.{name}"][:] = values[beyond]
     return rows
 
 
-def _with_others(rows: Arrays, others: Sequence[BlockFolder], number: int, record: dict[str, Any],
-                 scene: Scene, region: Region) -> Arrays:
-    """What a block owns, and behind that what it holds of others, in the frame of its scene."""
+def _of_others(none: Arrays, others: Sequence[BlockFolder], number: int, record: dict[str, Any],
+               scene: Scene, region: Region) -> Arrays:
+    """What a block holds of others, in the frame of its scene."""
     def places(other: BlockFolder) -> Arrays:
         return _in_frame_of(scene, *_owned(other, number, record, (POSITIONS, SCALES)))
 
@@ -210,7 +210,7 @@ def _with_others(rows: Arrays, others: Sequence[BlockFolder], number: int, recor
         found, frame = _owned(other, number, record, [kind])
         found = {name: values[of_other] for name, values in found.items()}
         for name, values in _in_frame_of(scene, found, frame).items():
-            longer[name][begin:begin + len(of_other)] = values
+            rows[name][begin:begin + len(of_other)] = values
 
     with ThreadPoolExecutor(READ_TOGETHER) as threads:
         there = list(threads.map(places, others))
@@ -218,27 +218,28 @@ def _with_others(rows: Arrays, others: Sequence[BlockFolder], number: int, recor
         positions, scales = (np.concatenate([each.pop(name) for each in there])
                              for name in (POSITIONS, SCALES))
         chosen = choose_gaussians(positions, scales, scene, region, scene.views)
-        first, longer = len(rows[SCALES]), _longer(rows, len(chosen.indices))
+        rows = _zeros(none, len(chosen.indices))
         ends = np.searchsorted(chosen.indices, before).tolist()
-        jobs = [(other, kind, chosen.indices[begin:end] - skipped, first + begin)
+        jobs = [(other, kind, chosen.indices[begin:end] - skipped, begin)
                 for other, skipped, begin, end in zip(others, before, ends, ends[1:])
                 # none is trained where none is reached
                 for kind in (BY_GAUSSIAN if chosen.reached[begin:end].any() else BY_GAUSSIAN[:1])
                 if end > begin]
         for _ in threads.map(lambda job: take(*job), jobs):
             pass  # an error is raised here
-    longer[SCALES][first:] = chosen.log_scales  # of which some are thinned
-    return longer
+    rows[SCALES][:] = chosen.log_scales  # of which some are thinned
+    return rows
 
 
-def _longer(rows: Arrays, more: int) -> Arrays:
-    """Arrays with more rows, which are 0; those given are removed one after the other."""
-    found = {}
-    for name in list(rows):
-        values = rows.pop(name)
-        found[name] = np.zeros((len(values) + more, *values.shape[1:]), values.dtype)
-        found[name][:len(values)] = values
-    return found
+def _zeros(none: Arrays, count: int) -> Arrays:
+    """Arrays with so many rows."""
+    return {name: np.zeros((count, *values.shape[1:]), values.dtype)
+            for name, values in none.items()}
+
+
+def _none_of(arrays: Arrays) -> Arrays:
+    """No rows of those arrays that have a row a gaussian; copies, or all would stay in memory."""
+    return {name: values[:0].copy() for name, values in arrays.items() if _is_by_gaussian(name)}
 
 
 def _owned(block: BlockFolder, number: int, record: dict[str, Any], wanted: Collection[str] = ()

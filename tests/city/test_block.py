@@ -2,17 +2,19 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from clsplat.cities import block as training_block
 from clsplat.cities.block import decided_by, options_of_blocks
 from clsplat.cities.scene import BlockScene
 from clsplat.densify import round as growth
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply, write_ply
-from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder, read_exposures
 from clsplat.io.scenes.read import fingerprint
 from clsplat.options import resolve
@@ -283,3 +285,22 @@ def test_bad_options_of_a_block(folder, options, complaint):
     (block.path / "block.json").write_text(json.dumps({**block.read(), "options": options}))
     code, output = called(block)
     assert code == 2 and complaint in output and output.count("\n") == 1
+
+
+@pytest.mark.parametrize("change", ["", "another block", "another device", "gone on", "saved"])
+def test_what_rests_is_taken_up_only_as_it_was_left(tmp_path, monkeypatch, change):
+    block, closed, device = BlockFolder(tmp_path / "000"), [], object()
+    block.run.mkdir(parents=True)
+    block.exchanged(1).touch()
+    saved = 100 if change == "saved" else 0
+    run = SimpleNamespace(path=block.run, number=1, checkpoint_iteration=lambda: saved)
+    photos = SimpleNamespace(close=lambda: closed.append(1))
+    session = SimpleNamespace(device=device, photos=photos)
+    rests = training_block.Begun(SimpleNamespace(session=session), run, None)
+    monkeypatch.setattr(training_block, "_resting", [rests])
+    if change == "gone on":
+        block.exchanged(2).touch()
+    asked = BlockFolder(tmp_path / "001") if change == "another block" else block
+    found = training_block._taken_up(asked, None if change == "another device" else device)
+    assert (found is rests) is (change == "") and closed == [1] * bool(change)
+    assert not training_block._resting and training_block._taken_up(block, device) is None

@@ -57,10 +57,20 @@ def stopped(tmp_path_factory, item_device):
         patch.setattr(training_block, "choose_device", lambda *_, **__: item_device)
         said = train_block(city.block(0))
         assert said.startswith("waits at exchange 1 of 1, after step 100: train 001 too")
-        patch.setattr(training_block, "exchange", lambda *_: pytest.exit("not yet"))
+        patch.setattr(training_block, "owned_at", lambda *_: pytest.exit("not yet"))
         patch.setattr(training_block, "lacking_blocks", lambda *_: ["000"])
         train_block(city.block(1))
     return city
+
+
+def exchanged(block, own, others=None):
+    """What a block owns at its exchange, and behind that what it holds of others; and the state."""
+    others = exchange.other_blocks(block) if others is None else others
+    options = block_options(block)
+    arrays, state = exchange.owned_at(block, own, options, 1)
+    beyond = exchange._beyond(exchange._none_of(arrays), block, own, others, options, 1)
+    return {**arrays, **{name: np.concatenate([arrays[name], rows])
+                         for name, rows in beyond.items()}}, state
 
 
 @pytest.fixture
@@ -75,8 +85,7 @@ def city(stopped, tmp_path, item_device, monkeypatch):
 def test_a_block_goes_on_from_what_others_own(city):
     block, own = city.block(0), BlockScene.read(city.block(0))
     before = read_npz(block.exchanged(1))
-    after, state = exchange.exchange(block, own, exchange.other_blocks(block),
-                                     block_options(block), 1)
+    after, state = exchanged(block, own)
     assert not {"frozen.rows", "adam.last_step"} & set(before)
     assert set(after) == {*before, "frozen.rows", "adam.last_step"} - {"state.json"}
     scene = read_scene(block.path).reduced(8.0, 10_000).normalised()
@@ -96,17 +105,16 @@ def test_a_block_goes_on_from_what_others_own(city):
     for name, power in (("m.positions", 1), ("v.positions", 2)):  # gradients by the same lengths
         assert np.allclose(after[name][count:] * (other.unit / scene.unit) ** power,
                            part[name][row], rtol=1e-4), name
-    frozen = after["frozen.rows"] > 0
     trains = trainable(scene, own.region, after["row.positions"], after["row.log_scales"])
-    assert np.array_equal(frozen, ~trains) and 0 < frozen[count:].sum() < len(row)
+    assert np.array_equal(after["frozen.rows"] == 0, trains[:count])
+    assert 0 < trains[count:].sum() < len(row) and (after["adam.last_step"] == AT).all()
 
 
 @pytest.mark.slow
 def test_at_an_exchange_the_file_takes_the_place_of_the_checkpoint(city):
     block, own = city.block(0), BlockScene.read(city.block(0))
     before, file = read_npz(block.exchanged(1)), block.run / "checkpoint.npz"
-    arrays, state = exchange.exchange(block, own, exchange.other_blocks(block),
-                                      block_options(block), 1)
+    arrays, state = exchanged(block, own)
     for number, step in ((1, AT - 1), (0, AT)):  # before it, and to the end
         run = exchange.BlockRun(block, own, number)
         run.save_checkpoint(arrays, {**state, "iteration": step})
@@ -117,8 +125,10 @@ def test_at_an_exchange_the_file_takes_the_place_of_the_checkpoint(city):
     after = read_npz(block.exchanged(1))
     assert set(after) == set(before)
     assert all(np.array_equal(after[name], values) for name, values in before.items()
-               if name != "state.json" and name not in exchange.STATISTICS)  # these begin anew
+               if name != "state.json")
     run = exchange.BlockRun(block, own, 0, (arrays, state))
+    assert len(run.owned[0]) == len(arrays["row.positions"])
+    assert not len(run.owned[1]["m.positions"])
     assert run.has_checkpoint and run.load_checkpoint()[0] is arrays and not run.has_checkpoint
 
 
@@ -131,7 +141,7 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
                  for kind in exchange.BY_GAUSSIAN for name in ("positions", "log_scales")}
         return {**found, "statistics.seen_count": np.arange(count, dtype=np.uint32)}
 
-    own, others, read = rows(4), [rows(2), rows(5), rows(3), rows(2)], []
+    none, others, read = rows(0), [rows(2), rows(5), rows(3), rows(2)], []
     indices, reached = np.array([0, 1, 3, 5, 6, 8, 9]), np.array([0, 1, 0, 0, 1, 0, 0], bool)
     scales = rng.random((7, 3)).astype(np.float32)
 
@@ -149,14 +159,14 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
     monkeypatch.setattr(exchange, "_owned", owned)
     monkeypatch.setattr(exchange, "_in_frame_of", lambda scene, arrays, frame: arrays)
     monkeypatch.setattr(exchange, "choose_gaussians", choose)
-    found = exchange._with_others(dict(own), [0, 1, 2, 3], 1, {}, SimpleNamespace(views=()), None)
-    for name, values in own.items():
-        taken = np.concatenate([values, *(other[name] for other in others)])[
-            [*range(4), *(4 + indices)]]
+    found = exchange._of_others(none, [0, 1, 2, 3], 1, {}, SimpleNamespace(views=()), None)
+    assert set(found) == set(none)
+    for name in none:
+        taken = np.concatenate([other[name] for other in others])[indices]
         if name == "row.log_scales":
-            taken[4:] = scales
+            taken = scales
         elif name.startswith(("m.", "v.")):
-            taken[4 + 5:] = 0  # nothing of the last one is trained
+            taken[5:] = 0  # nothing of the last one is trained
         assert np.array_equal(found[name], taken), name
     assert (2, "row") in read and not {(2, "m"), (2, "v"), (3, "row")} & set(read)
 
@@ -164,20 +174,19 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
 @pytest.mark.slow
 def test_far_from_a_block_no_moments_are_read(city):
     block, own = city.block(0), BlockScene.read(city.block(0))
-    near, _ = exchange.exchange(block, own, exchange.other_blocks(block), block_options(block), 1)
+    near, _ = exchanged(block, own)
     far = replace(own, region=replace(own.region, margin=0.0))
-    after, _ = exchange.exchange(block, far, exchange.other_blocks(block), block_options(block), 1)
+    after, _ = exchanged(block, far)
     count = len(read_npz(block.exchanged(1))["row.positions"])
     assert near["m.positions"][count:].any() and near["v.sh_rest"][count:].any()
     for name in ("m.positions", "v.sh_rest"):
         assert after[name].dtype == near[name].dtype and not after[name][count:].any()
-    assert (after["frozen.rows"][count:] > 0).all()
 
 
 @pytest.mark.slow
 def test_a_block_that_goes_on_alone_has_again_the_margin_with_which_it_began(city):
     block, own = city.block(0), BlockScene.read(city.block(0))
-    after, _ = exchange.exchange(block, own, [], block_options(block), 1)
+    after, _ = exchanged(block, own, [])
     before, start = read_npz(block.exchanged(1)), read_ply(block.initial, own.scene.offset)
     count, beyond = len(before["row.positions"]), ~own.region.owns(
         world_of(own.scene, start.positions))
@@ -226,32 +235,21 @@ def test_a_training_that_rests_goes_on_to_the_same_bytes(city, item_device, engi
     copy = CityFolder(city.path.with_name("copy"))
     shutil.copytree(city.path, copy.path, symlinks=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training_block, "exchange", lambda *_: pytest.fail("read from files"))
+        patch.setattr(training_block, "owned_at", lambda *_: pytest.fail("read from files"))
         assert train_block(city.block(1), item_device, rests=True) == "finished"
     assert not training_block._resting
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training_block, "exchange_in_place", lambda *_: pytest.fail("none rests"))
-        assert train_block(copy.block(1), item_device) == "finished"
+    assert train_block(copy.block(1), item_device) == "finished"
     assert model_digest(RunFolder(city.block(1).run)) == model_digest(RunFolder(copy.block(1).run))
 
 
-@pytest.mark.parametrize("change", ["", "another block", "another device", "gone on", "saved"])
-def test_what_rests_is_taken_up_only_as_it_was_left(tmp_path, monkeypatch, change):
-    block, closed, device = BlockFolder(tmp_path / "000"), [], object()
-    block.run.mkdir(parents=True)
-    block.exchanged(1).touch()
-    saved = 100 if change == "saved" else 0
-    run = SimpleNamespace(path=block.run, number=1, checkpoint_iteration=lambda: saved)
-    photos = SimpleNamespace(close=lambda: closed.append(1))
-    session = SimpleNamespace(device=device, photos=photos)
-    rests = training_block.Begun(SimpleNamespace(session=session), run, None)
-    monkeypatch.setattr(training_block, "_resting", [rests])
-    if change == "gone on":
-        block.exchanged(2).touch()
-    asked = BlockFolder(tmp_path / "001") if change == "another block" else block
-    found = training_block._taken_up(asked, None if change == "another device" else device)
-    assert (found is rests) is (change == "") and closed == [1] * bool(change)
-    assert not training_block._resting and training_block._taken_up(block, device) is None
+@pytest.mark.slow
+def test_a_block_that_owns_nothing_goes_on_with_what_others_own(city):
+    block, own = city.block(0), BlockScene.read(city.block(0))
+    arrays, state = exchanged(block, own)
+    arrays["row.positions"] += 1e4
+    exchange.BlockRun(block, own, 1).save_checkpoint(arrays, state)
+    assert len(read_npz(block.exchanged(1))["row.positions"]) == 1
+    assert train_block(block) == "finished"
 
 
 @pytest.mark.slow
@@ -318,16 +316,14 @@ def test_parts_that_cannot_be_used_are_named(city):
                     content[:moment] + b"?" + content[moment + 1:]):
         other.exchanged(1).write_bytes(damaged)
         with pytest.raises(InputError, match=r"exchange_1.npz: not .*damaged .* train that block"):
-            exchange.exchange(block, BlockScene.read(block), exchange.other_blocks(block),
-                              block_options(block), 1)
+            exchanged(block, BlockScene.read(block))
     arrays = read_npz(block.exchanged(1))
     state = json.loads(arrays["state.json"].tobytes())
     assert state["format"] == 1
     with open(other.exchanged(1), "wb") as file:
         write_npz(file, {**arrays, "state.json": state_array({**state, "format": 2})})
     with pytest.raises(InputError, match=r"exchange_1.npz: has format 2, .* newer clsplat"):
-        exchange.exchange(block, BlockScene.read(block), exchange.other_blocks(block),
-                          block_options(block), 1)
+        exchanged(block, BlockScene.read(block))
     record = json.loads((other.path / BLOCK).read_text())
     (other.path / BLOCK).write_text(json.dumps({**record, "partition": "another"}))
     with pytest.raises(InputError, match="a block of another partition"):
