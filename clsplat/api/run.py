@@ -15,7 +15,7 @@ from clsplat.evaluation import run
 from clsplat.evaluation.views import evaluate_run, final_metrics
 from clsplat.report.notebook import run_page
 from clsplat.training.checkpoint import latest_model
-from clsplat.training.loop import resume
+from clsplat.training.loop import resumed
 from clsplat.training.part import Part
 from clsplat.training.recorder import Callback
 
@@ -63,7 +63,8 @@ class Run(run.Run):
         scene = scene or super().scene(whole=True)
         with self.folder.locked():
             try:
-                resume(scene, options, device, self.folder, callbacks=callbacks, parts=parts)
+                resumed(scene, options, device, self.folder, callbacks=callbacks,
+                        parts=parts).take()
             except Interrupted as error:
                 if not error.planned:
                     raise

@@ -155,7 +155,7 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, given
             watcher = progress = stack.enter_context(TrainingView(data, progress))
             announce(watcher.address)
         if resumes:
-            loop.resume(data, options, device, run, progress=progress, watcher=watcher)
+            loop.resumed(data, options, device, run, progress=progress, watcher=watcher).take()
         else:
             run = RunFolder.create(output, overwrite=overwrite)
             loop.train(data, options, device, run, progress=progress, watcher=watcher)

@@ -62,17 +62,10 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     Training(scene, options, device, run, progress, None, callbacks, watcher, parts=parts).take()
 
 
-def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
-           progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
-           watcher: Watcher | None = None, parts: Iterable[Part] = ()) -> None:
-    """Resume a run from its checkpoint, as if it had never stopped; arguments as for `train`."""
-    resumed(scene, options, device, run, progress, callbacks, watcher, parts).take()
-
-
 def resumed(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
             progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
             watcher: Watcher | None = None, parts: Iterable[Part] = ()) -> "Training":
-    """The training that `resume` takes on."""
+    """A run from its checkpoint, as if it had never stopped; arguments as for `train`."""
     record, scene = run.read_options(), placed(scene, run.path)
     if record.get("fingerprint") != fingerprint(scene):
         raise InputError(f"{run.path}: this run was trained on another scene, "

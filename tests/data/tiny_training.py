@@ -10,7 +10,8 @@ from unittest.mock import patch
 from clsplat.errors import Interrupted
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
-from clsplat.training.loop import resume, train
+from clsplat.training.loop import resumed as training_resumed
+from clsplat.training.loop import train
 
 ROOT = Path(__file__).resolve().parents[2]
 CITY = ROOT / "data_samples" / "city"
@@ -29,6 +30,11 @@ LEVELLED = {"schedule": "sig", "levels": (2.0, 1.0), "iterations": 120, "downsca
             "eval_every": 0}
 # what a test of something else needs: no growth, few steps
 STILL = {"densify_from": 1000, "reset_every": 0}
+
+
+def resume(*arguments, **named):
+    """Go on with a run until its end, or until it is stopped."""
+    training_resumed(*arguments, **named).take()
 
 
 def options_of(**changes):

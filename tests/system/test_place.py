@@ -22,7 +22,7 @@ def test_the_run_and_its_model_know_where_they_lie(item_device, city, tmp_path):
     with pytest.raises(Interrupted):
         loop.train(scene, replace(options, stop_at=10), item_device,
                    RunFolder.create(tmp_path / "stopped"))
-    loop.resume(city, options, item_device, RunFolder.open(tmp_path / "stopped"))
+    loop.resumed(city, options, item_device, RunFolder.open(tmp_path / "stopped")).take()
     loop.train(scene, options, item_device, RunFolder.create(tmp_path / "whole"))
     stopped, whole = (Run.open(tmp_path / name) for name in ("stopped", "whole"))
     assert stopped.folder.model_path.read_bytes() == whole.folder.model_path.read_bytes()

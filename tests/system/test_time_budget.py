@@ -21,7 +21,7 @@ def test_a_time_budget_is_kept_across_a_stop(item_device, city, tmp_path, option
     with pytest.raises(Interrupted):
         loop.train(city, resolve({}, {**options, "stop_at": 90}), item_device, run)
     before = run.load_checkpoint()[1]
-    loop.resume(city, resolve({}, options), item_device, RunFolder.open(run.path))
+    loop.resumed(city, resolve({}, options), item_device, RunFolder.open(run.path)).take()
     last = records(run, "eval")[-1]
     assert 12 * 0.6 < last["wall_seconds"] < 12 * 1.2
     assert last["wall_seconds"] > before["wall_seconds"] and last["level"] == 1.0

@@ -49,7 +49,10 @@ def test_other_gaussians_begin_another_mean_and_frozen_gaussians_stay(item_devic
     session.iteration = 800
     advance(session, part, 800.0)
     assert part._samples == 1
-    session.model = Model(item_device, gaussians_of(4))  # as growth does
+    part.rows_changed(session.model, None)  # they have moved
+    assert part._samples == 1
+    session.model = Model(item_device, gaussians_of(4))
+    part.rows_changed(session.model, SimpleNamespace())
     advance(session, part, 2.0)
     session.model.frozen = item_device.upload(np.array([0, 1, 0, 1], np.uint32))
     row = session.model.rows["opacity_logits"]

@@ -43,7 +43,7 @@ def train(item_device, often, scene, tmp_path):
             "densify_from": 1000, "checkpoint_every": EVERY, **changes})
         if resumes:
             run = RunFolder.open(tmp_path / folder)
-            loop.resume(scene, options, item_device, run, Progress())
+            loop.resumed(scene, options, item_device, run, Progress()).take()
         else:
             run = RunFolder.create(tmp_path / folder)
             loop.train(scene, options, item_device, run, Progress())
