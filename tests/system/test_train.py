@@ -117,7 +117,7 @@ def test_records_carry_what_reports_read(item_device, city, tmp_path):
         assert later["train_seconds"] <= later["wall_seconds"]
     own = {event: set(records(run, event)[-1]) - set(COMMON)
            for event in ("plan", "step", "grow", "reset", "eval")}
-    assert own == {"plan": {"reasons", "levels"},
+    assert own == {"plan": {"reasons", "levels", "format"},
                    "step": {"loss", "l1", "ssim", "memory_bytes", "peak_bytes", "skipped_rows",
                             "skipped_since", "frequency", "convergence"},
                    "grow": {"cloned", "split", "pruned"}, "reset": set(),
