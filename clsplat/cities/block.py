@@ -74,11 +74,10 @@ class BlockJob(Job):
 
 @dataclass(frozen=True, eq=False)
 class Begun:
-    """The training of a block in this process, with its folder and the block as it was read."""
+    """The training of a block in this process."""
 
     training: Training
     run: BlockRun
-    scene: BlockScene
 
     def close(self) -> None:
         """Give back its memory."""
@@ -180,7 +179,7 @@ def train_block(block: BlockFolder, device: Device | None = None,
         with ExitStack() as stack:
             if begun:
                 stack.callback(begun.close)
-            scene = begun.scene if begun else BlockScene.read(block)
+            scene = begun.run.own if begun else BlockScene.read(block)
             while True:
                 place = f"exchange {done} of {len(exchanges)}, after step {step_of(done)}"
                 if until and done >= until:
@@ -198,12 +197,12 @@ def train_block(block: BlockFolder, device: Device | None = None,
                                    if exchanges_now else None)
                     begun = Begun(training_of(
                         scene.scene, options, opened, own, progress, (stop,),
-                        scene.parts(options.exposure == "on")), own, scene)
+                        scene.parts(options.exposure == "on")), own)
                     stack.callback(begun.close)
                 if exchanges_now:
                     if progress:
                         progress.phase("exchanging gaussians with other blocks")
-                    exchange(begun.training, begun.run, block, scene, others, options)
+                    exchange(begun.training, begun.run, others, options)
                 last = alone or done == len(exchanges)
                 done = 0 if last else done + 1
                 go_on(begun, done)
@@ -224,6 +223,8 @@ def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Show
     shown = shown or Shown()
     blocks = {block.path.name: block
               for block in sorted(city.blocks(), key=_expected_work, reverse=True)}
+    # each block has a process, which need not read it again
+    rests = workers.number >= len(blocks) > 1 and not workers.scheduler
     places = {name: f"block {place} of {len(blocks)}" for place, name in enumerate(blocks, 1)}
 
     def title(job: BlockJob) -> str:
@@ -248,9 +249,6 @@ def train_blocks(city: CityFolder, workers: Workers, device: Device, shown: Show
         device_name = workers.devices[0] if len(workers.devices) == 1 else ""
         return _by_block(workers.run([replace(job, device=device_name or job.device, rests=rests)
                                       for job in jobs], here, began, ended))
-
-    # each block has a process, which need not read it again
-    rests = workers.number >= len(blocks) > 1 and not workers.scheduler
 
     outcomes = trained(jobs_of(city, list(blocks.values())))
     if fill and any(not outcome.ok for outcome in outcomes.values()):

@@ -24,8 +24,8 @@ from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import reading
 from clsplat.io.models.ply import START, read_ply
-from clsplat.io.npz import read_npz, state_array, write_npz
-from clsplat.io.records import check_format, object_of, with_format
+from clsplat.io.npz import read_npz, state_array, state_of, write_npz
+from clsplat.io.records import with_format
 from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
 from clsplat.options import SceneOptions
@@ -76,6 +76,7 @@ class BlockRun(RunFolder):
 
     Attributes
     ----------
+    block, own : as given.
     number : of the exchange, from 1, to which it is trained; 0: to the end.
     owned : int[K], the rows that the block owned at its last exchange, and no rows of each kind.
     """
@@ -83,7 +84,7 @@ class BlockRun(RunFolder):
     def __init__(self, block: BlockFolder, own: BlockScene, number: int = 0,
                  begins: Saved | None = None) -> None:
         super().__init__(block.run)
-        self._block, self._own, self.number, self._begins = block, own, number, begins
+        self.block, self.own, self.number, self._begins = block, own, number, begins
         self.owned = (np.arange(len(begins[0][POSITIONS])), _none_of(begins[0])) if begins else (
             np.empty(0, int), {})
 
@@ -99,20 +100,20 @@ class BlockRun(RunFolder):
 
     def save_checkpoint(self, arrays: Arrays, state: dict[str, Any]) -> None:
         """As in `RunFolder`, but for the checkpoint at the exchange."""
-        if not self.number or state["iteration"] < self._block.exchanges[self.number - 1]:
+        if not self.number or state["iteration"] < self.block.exchanges[self.number - 1]:
             super().save_checkpoint(arrays, state)
             return
-        scene, record = self._own.scene.normalised(), self._block.read()
-        owned = np.flatnonzero(self._own.region.owns(world_of(scene, arrays[POSITIONS])))
+        scene, record = self.own.scene.normalised(), self.block.read()
+        owned = np.flatnonzero(self.own.region.owns(world_of(scene, arrays[POSITIONS])))
         if not len(owned):
             owned = np.zeros(1, int)  # a training begins with some gaussian
         kept = {name: values[owned] if _is_by_gaussian(name) else values
                 for name, values in arrays.items()
                 if name not in REPLACED and not name.startswith(f"{Average.name}.")}
-        with replacing(self._block.exchanged(self.number)) as file:
+        with replacing(self.block.exchanged(self.number)) as file:
             write_npz(file, {**kept, STATE: state_array(with_format({
                 TRAINING: state, "unit": scene.unit, "offset": scene.offset.tolist(),
-                CITY: record[CITY], START: self._block.start()}))})
+                CITY: record[CITY], START: self.block.start()}))})
         self.owned = owned, _none_of(kept)
         self.remove_checkpoint()
 
@@ -158,21 +159,20 @@ def owned_at(block: BlockFolder, own: BlockScene, options: SceneOptions, number:
             "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
 
 
-def exchange(training: Training, run: BlockRun, block: BlockFolder, own: BlockScene,
-             others: Sequence[BlockFolder], options: SceneOptions) -> None:
+def exchange(training: Training, run: BlockRun, others: Sequence[BlockFolder],
+             options: SceneOptions) -> None:
     """Put what other blocks own in place of the margin and the surroundings of a block, whose
     training has come to an exchange. Gaussians of the margin bring the moments of their owner.
 
     Parameters
     ----------
     training, run : of the block, which has just been saved there, or begins at what it owned.
-    block, own : its folder, and the block as it was read.
     others : its `other_blocks`; without them the margin and the surroundings are again as the block
         began with them.
     options : of the training.
     """
     owned, none = run.owned
-    rows = _beyond(none, block, own, others, options, run.number)
+    rows = _beyond(none, run.block, run.own, others, options, run.number)
     by_kind: dict[str, Arrays] = {kind: {} for kind in BY_GAUSSIAN}
     for name, values in rows.items():
         kind, _, field = name.partition(".")
@@ -257,8 +257,7 @@ def _owned(block: BlockFolder, number: int, record: dict[str, Any], wanted: Coll
     with reading(path, "what a block owned at an exchange", cure):
         arrays = read_npz(path, lambda name: not wanted or name in (STATE, *STATISTICS, *wanted)
                           or name.partition(".")[0] in wanted)
-        frame = object_of(arrays.pop(STATE).tobytes())
-        check_format(path, frame)
+        frame = state_of(path, arrays.pop(STATE))
         check_arrays(arrays, record["options"]["sh_degree"],
                      [kind for kind in BY_GAUSSIAN if kind in wanted or not wanted])
         if not (frame["unit"] > 0 and np.shape(frame["offset"]) == (3,)

@@ -20,6 +20,7 @@ from numpy.lib.format import (
 )
 from numpy.typing import NDArray
 
+from clsplat.io.records import check_format, object_of
 from clsplat.io.regular import opened_archive
 
 THREADS = 4  # that read arrays of a file
@@ -60,6 +61,13 @@ def write_npz(file: BinaryIO, arrays: Mapping[str, NDArray[Any]]) -> None:
 def state_array(state: Mapping[str, Any]) -> NDArray[np.uint8]:
     """A dict for JSON as an array of bytes, to be kept among arrays."""
     return np.frombuffer(json.dumps(state, default=lambda value: value.tolist()).encode(), np.uint8)
+
+
+def state_of(path: Path, array: NDArray[Any]) -> dict[str, Any]:
+    """The dict of a `state_array` of a file; errors as of `object_of` and `check_format`."""
+    state = object_of(array.tobytes())
+    check_format(path, state)
+    return state
 
 
 def _read_array(path: Path, member: ZipInfo) -> NDArray[Any]:

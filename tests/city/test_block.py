@@ -296,7 +296,7 @@ def test_what_rests_is_taken_up_only_as_it_was_left(tmp_path, monkeypatch, chang
     run = SimpleNamespace(path=block.run, number=1, checkpoint_iteration=lambda: saved)
     photos = SimpleNamespace(close=lambda: closed.append(1))
     session = SimpleNamespace(device=device, photos=photos)
-    rests = training_block.Begun(SimpleNamespace(session=session), run, None)
+    rests = training_block.Begun(SimpleNamespace(session=session), run)
     monkeypatch.setattr(training_block, "_resting", [rests])
     if change == "gone on":
         block.exchanged(2).touch()

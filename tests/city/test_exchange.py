@@ -234,6 +234,17 @@ def test_a_training_that_rests_goes_on_to_the_same_bytes(city, item_device, engi
     assert [begun.run.path for begun in training_block._resting] == [city.block(1).run]
     copy = CityFolder(city.path.with_name("copy"))
     shutil.copytree(city.path, copy.path, symlinks=True)
+    begun, others = training_block._resting[0], exchange.other_blocks(city.block(1))
+    exchange.exchange(begun.training, begun.run, others, block_options(city.block(1)))
+    expected, model = exchanged(city.block(1), begun.run.own)[0], begun.training.session.model
+    moments = dict(zip("mv", model.adam.download()))
+    begun.run.owned = np.arange(len(begun.run.owned[0])), begun.run.owned[1]  # which come first now
+    for kind, field in (("m", "positions"), ("v", "sh_rest")):  # of rows of others, too
+        name = f"{kind}.{field}"
+        assert expected[name][len(begun.run.owned[0]):].any()
+        rounding = 0.1 if engine == "coded" else 1e-6
+        assert np.allclose(moments[kind][field], expected[name], rtol=rounding,
+                           atol=rounding * 1e-2 * abs(expected[name]).max()), name
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_block, "owned_at", lambda *_: pytest.fail("read from files"))
         assert train_block(city.block(1), item_device, rests=True) == "finished"

@@ -20,7 +20,7 @@ from clsplat.io.fields import numbers, reading
 from clsplat.io.folders import make_folder
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.models.ply import read_ply, write_ply
-from clsplat.io.npz import read_npz, state_array, write_npz
+from clsplat.io.npz import read_npz, state_array, state_of, write_npz
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
 from clsplat.io.records import (
     check_format,
@@ -252,9 +252,7 @@ class RunFolder:
         cure = "copy it again, or start the run again with --overwrite"
         with reading(path, "a checkpoint", cure):
             arrays = read_npz(path, lambda name: name == STATE or wanted(name))
-            state = object_of(arrays.pop(STATE).tobytes())
-            check_format(path, state)
-            return arrays, state
+            return arrays, state_of(path, arrays.pop(STATE))
 
     def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = ()
                    ) -> None:
