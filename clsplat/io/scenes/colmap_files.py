@@ -114,20 +114,23 @@ def _binary_images(data: mmap.mmap, count: int) -> list[Image]:
 
 
 def _binary_points(data: mmap.mmap, count: int) -> Points:
-    heads, tracks, position = [], [], 8
-    for _ in range(count):
-        begin = position + _POINT.itemsize
-        length, = _LENGTH.unpack_from(data, begin - _LENGTH.size)
-        heads.append(data[position:begin])
-        position = begin + _TRACK.itemsize * length
-        tracks.append(data[begin:position])
-    if position > len(data):
-        raise ValueError(f"its bytes are too few for {count} points")
-    points = np.frombuffer(b"".join(heads), _POINT)
+    lengths, end, length_at = [], 8, _LENGTH.unpack_from
+    for _ in range(count):  # of millions: no more than says where the next one begins
+        end += _POINT.itemsize
+        length, = length_at(data, end - _LENGTH.size)
+        end += _TRACK.itemsize * length
+        if end > len(data):
+            raise ValueError(f"its bytes are too few for {count} points")
+        lengths.append(length)
+    tracks = np.array(lengths, np.int64)
+    sizes = np.stack([np.full(count, _POINT.itemsize), _TRACK.itemsize * tracks], axis=1)
+    in_track = np.repeat(np.tile([False, True], count), sizes.ravel())
+    records = np.frombuffer(data, np.uint8, end - 8, 8)
+    points = records[~in_track].view(_POINT)
     return Points(
         points["id"].astype(np.int64), points["position"], points["colour"],
-        np.repeat(np.arange(count), points["length"].astype(np.int64)),
-        np.frombuffer(b"".join(tracks), _TRACK)["image"].astype(np.int64))
+        np.repeat(np.arange(count), tracks),
+        records[in_track].view(_TRACK)["image"].astype(np.int64))
 
 
 _BINARY: dict[str, Callable[[mmap.mmap, int], Any]] = {
