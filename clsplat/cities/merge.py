@@ -30,7 +30,7 @@ from clsplat.cities.seams import find_seams
 from clsplat.cities.tree import TreeBuilder
 from clsplat.errors import InputError, OutOfDeviceMemory
 from clsplat.evaluation.run import Run
-from clsplat.evaluation.views import METRICS, evaluate_run, training_pictures
+from clsplat.evaluation.views import METRICS, evaluate_run, opened, training_pictures
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.atomic import replacing
@@ -296,20 +296,20 @@ def evaluate_city(city: City, merged: Merged, against: Path | None = None
     run, record = Run.open(folder.path), merge_record(folder)
     spent = {key: record[key] for key in (*SPENT, "level", "gaussians")}
     scores = seams = None
-    whole = run.scene(whole=True)
+    whole = city.pinhole
     scene = run.as_trained(whole)
+    model = run.opened(city.device, scene, merged.gaussians)
     train, test = scene.split(options.test_every, options.test_offset)
     with timed(folder, "evaluation"):
         if test:
-            scores = evaluate_run(run, city.device, save_images=False, metrics=METRICS,
-                                  gaussians=merged.gaussians)
+            scores = evaluate_run(run, city.device, False, scene, METRICS, model=model)
             run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
                                                          if key not in ("per_view", "pictures")}})
         partition = folder.partition(scene)
         if len(merged.shares) > 1:
             reference = read_ply(against or RunFolder(folder.coarse).model_path, scene.offset)
-            seams = find_seams(city.device, partition, scene, test or train, options,
-                               merged.gaussians, reference.without_spheres())
+            seams = find_seams(partition, scene, test or train, model, opened(
+                city.device, reference.without_spheres(), scene, options))
             run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
                             "worst_seam_db": seams["worst_seam_db"], "borders": seams["borders"]})
     if seams:

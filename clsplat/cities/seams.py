@@ -20,15 +20,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsplat.camera import Camera
-from clsplat.device import Device
 from clsplat.evaluation.metrics import fit_colour
-from clsplat.evaluation.views import Image, opened, photo_of, render_view, scored_at_once
-from clsplat.gaussians import Gaussians
+from clsplat.evaluation.views import Image, Model, photo_of, render_view, scored_at_once
 from clsplat.io.ahead import called_ahead
 from clsplat.io.photos.views import read_valid
 from clsplat.partition.region import Partition
-from clsplat.rendering.options import RenderingOptions
-from clsplat.rendering.slabs import ModelRenderer
 from clsplat.scene import Scene, View
 
 STRIP = 0.1  # of the cells' sides, where blocks have no margin
@@ -69,19 +65,16 @@ def find_borders(partition: Partition) -> list[Border]:
     return borders
 
 
-Model = tuple[ModelRenderer, Any, int]  # on a device, see `evaluation.views.opened`
-def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequence[View],
-               options: RenderingOptions, merged: Gaussians, reference: Gaussians
-               ) -> dict[str, Any]:
+
+def find_seams(partition: Partition, scene: Scene, views: Sequence[View], merged: Model,
+               reference: Model) -> dict[str, Any]:
     """How visible the seams between blocks are. All models are in the scene's frame.
 
     Parameters
     ----------
-    device : an open device.
     partition, scene : the whole.
     views : at the size of the renders.
-    options : how models are rendered.
-    merged : the model of all blocks.
+    merged : the model of all blocks, on a device.
     reference : a model trained in one piece: the coarse one, or another to compare with.
 
     Returns
@@ -90,16 +83,15 @@ def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequen
     be measured are None.
     """
     borders, space = find_borders(partition), partition.space
-    on_device, other = (opened(device, model, scene, options) for model in (merged, reference))
     # of each border, and finally of all of them together: a float64[2, 3] for each view, in the
     # strip and elsewhere, the pixels and the squared errors of the merged model and the reference
     errors: list[list[NDArray[np.float64]]] = [[] for _ in range(len(borders) + 1)]
 
     def rendered() -> Iterator[tuple[View, Image, Image, Image, Image]]:
         for view in views:
-            yield view, *_picture(on_device, view.camera), render_view(*other, view.camera)
+            yield view, *_picture(merged, view.camera), render_view(*reference, view.camera)
 
-    def inspect(view: View, image: Image, transmittance: Image, depth: Image, reference: Image
+    def inspect(view: View, image: Image, transmittance: Image, depth: Image, other: Image
                 ) -> list[tuple[int, NDArray[np.float64]]]:
         """(border, errors) for each border that the view shows, and for all."""
         place = _places(view.camera, transmittance, depth)
@@ -109,7 +101,7 @@ def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequen
         coordinates = space.to(place[known] + scene.offset)
         photo = photo_of(view)
         wrong = [((fit_colour(shown, photo, valid) - photo) ** 2).mean(axis=-1)[known]
-                 for shown in (image, reference)]
+                 for shown in (image, other)]
         values = np.stack([np.ones_like(wrong[0]), *wrong], axis=-1)
         away = np.ones(len(values), bool)
         near = [(number, inside) for number, border in enumerate(borders)

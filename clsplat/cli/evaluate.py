@@ -44,14 +44,16 @@ def evaluate(run: Path, device: str, images: bool, lpips: Path | None, align: bo
     folder.check_model()
     metrics = final_metrics(lpips)
     with folder.locked() if images else nullcontext():
-        result = evaluate_run(opened, choose_device(device), images, scene, metrics, align)
+        whole = opened.scene(scene, whole=True)
+        result = evaluate_run(opened, choose_device(device), images, opened.as_trained(whole),
+                              metrics, align)
         click.echo(summary(result))
         if images:
             from clsplat.report.run import write_report
             if opened.is_finished:  # else its last evaluation was that of another model
                 folder.add_scores({key: value for key, value in result.items()
                                    if key in PERCEPTUAL or "aligned" in key})
-            written = write_report(folder, result["pictures"], opened.scene(scene, whole=True))
+            written = write_report(folder, result["pictures"], whole)
             click.echo(f"pictures: {folder.pictures}\n"
                        f"  from left to right: {', '.join(PANELS)} ({LEGEND})\n"
                        f"report: {written}")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.device import Device
+from clsplat.device.host import host_memory
 from clsplat.errors import InputError
 from clsplat.evaluation.align import aligned
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
@@ -37,9 +38,10 @@ if TYPE_CHECKING:
 
 Image = NDArray[np.floating]  # [H, W, 3], 0 to 1
 Valid = NDArray[np.bool_] | None  # [H, W], the pixels that count; None: all
+Model = tuple[ModelRenderer, Any, int]  # on a device: the renderer, its rows and the SH degree
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
 MOST_SAMPLED = 24  # training views from which to choose pictures, where no view is held out
-SCORING_BYTES = 3 << 29  # of host memory, for views that are scored at the same time
+SCORING_SHARE = 0.1  # of host memory, for views that are scored at the same time
 SCORED_PIXEL_BYTES = 160  # measured, of the colour fit or of FLIP
 SCORED_PIXEL_SECONDS = 2e-6  # measured, of a core, with METRICS
 SAMPLED_SIDE = 1600  # pixels of their photos' longer sides at most; a page shows fewer
@@ -134,7 +136,8 @@ def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Seque
 def scored_at_once(views: Sequence[View]) -> int:
     """How many views are scored at the same time, each in a thread: as many as fit the memory."""
     pixels = max((view.camera.width * view.camera.height for view in views), default=1)
-    return max(1, min(os.cpu_count() or 1, SCORING_BYTES // (SCORED_PIXEL_BYTES * pixels)))
+    fit = SCORING_SHARE * host_memory() / (SCORED_PIXEL_BYTES * pixels)
+    return int(max(1, min(os.cpu_count() or 1, fit)))
 
 
 def expected_seconds(views: Sequence[View]) -> float:
@@ -182,27 +185,28 @@ def photo_of(view: View) -> NDArray[np.float32]:
 
 
 def opened(device: Device, gaussians: Gaussians, scene: Scene, options: RenderingOptions
-           ) -> tuple[ModelRenderer, Any, int]:
-    """A finished model, in the frame of the scene, on a device: the renderer, its rows and the SH
-    degree. The scene decides, with `options.near`, where the near plane is."""
+           ) -> Model:
+    """A finished model, in the frame of the scene, on a device.
+
+    The scene decides, with `options.near`, where the near plane is."""
     renderer, rows = open_model(device, gaussians, scene.near(options.near), options.antialiased,
                                 options.background)
     return renderer, rows, gaussians.sh_degree
 
 
-def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path | None = None,
+def evaluate_run(run: Run, device: Device, save_images: bool, scene: Scene | None = None,
                  metrics: Mapping[str, Metric] = FINAL_METRICS, align: bool = False,
-                 gaussians: Gaussians | None = None) -> dict[str, Any]:
+                 model: Model | None = None) -> dict[str, Any]:
     """Compare the finished model of a run with its held-out photos.
 
     Parameters
     ----------
     run, device : the run, and an open device.
     save_images : whether PANELS are written into the run, side by side as PNG.
-    scene_path : where the scene is now; None: where the run has recorded it.
+    scene : as `Run.scene` returns it; None: it is read.
     metrics : by their names.
     align : whether to compare from aligned poses as well.
-    gaussians : the finished model, in the scene's frame; None: it is read.
+    model : the finished one, as `Run.opened` returns it; None: it is read.
 
     Returns
     -------
@@ -212,14 +216,13 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     ------
     InputError : the run is not finished, or holds out no view.
     """
-    options, scene = run.options, run.scene(scene_path)
+    options, scene = run.options, scene or run.scene()
     train, views = scene.split(options.test_every, options.test_offset)
     if not views:
         raise InputError(f"{run.path}: no held-out views (--test-every "
                          f"{options.test_every or 'none'}); "
                          "nothing to compare with")
-    gaussians = gaussians or run.finished_model
-    model = run.opened(device, scene, gaussians)
+    model = model or run.opened(device, scene)
 
     def keep(view: View, image: Image, fitted: Image, photo: Image, valid: Valid) -> None:
         error = error_map(fitted, photo, valid) / np.float32(255)

@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.cities.merge import cropped, joined
 from clsplat.cities.seams import LEAST_PIXELS, _scores, find_borders, find_seams
-from clsplat.evaluation.views import render_view
+from clsplat.evaluation.views import opened, render_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import write_image
 from clsplat.io.scenes.read import read_scene
@@ -111,7 +111,8 @@ def report(device, scene, model, spoil=lambda number, gaussians: gaussians):
     blocks = [spoil(number, noisy(reference, number, 0.02)) for number in range(4)]
     pieces = [cropped(block, partition, number, scene.offset)
               for number, block in enumerate(blocks)]
-    return find_seams(device, partition, scene, scene.views, OPTIONS, joined(pieces), reference)
+    return find_seams(partition, scene, scene.views, *(
+        opened(device, each, scene, OPTIONS) for each in (joined(pieces), reference)))
 
 
 def test_blocks_that_agree_have_no_seam(item_device, photographed, model):
@@ -166,6 +167,7 @@ def test_a_border_is_the_mean_of_its_views_by_their_pixels():
 
 def test_what_cannot_be_said_is_left_open(item_device, scene, model):
     partition = boxes(QUARTERS, Space(np.eye(3), scene.offset, np.full(3, 30.0)))
-    empty = find_seams(item_device, partition, scene, [], OPTIONS, model, model)
+    on_device = opened(item_device, model, scene, OPTIONS)
+    empty = find_seams(partition, scene, [], on_device, on_device)
     assert empty["worst_seam_db"] is None and empty["seam_db"] is None
     assert "-" in seam_table(empty).text()

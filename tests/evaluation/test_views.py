@@ -25,8 +25,8 @@ def test_views_are_scored_in_their_order_whatever_their_number_at_once(city, ite
     some = city.views[:7]
 
     def result(pixels_at_once):
-        monkeypatch.setattr(views_module, "SCORING_BYTES", views_module.SCORED_PIXEL_BYTES
-                            * pixels_at_once)
+        monkeypatch.setattr(views_module, "host_memory", lambda: (
+            views_module.SCORED_PIXEL_BYTES * pixels_at_once / views_module.SCORING_SHARE * 1.01))
         monkeypatch.setattr(views_module.os, "cpu_count", lambda: 4)
         kept = []
         scores = evaluate_views(*model, some, lambda *given: kept.append(given))
@@ -45,6 +45,7 @@ def test_views_are_scored_in_their_order_whatever_their_number_at_once(city, ite
 @pytest.mark.parametrize("width, cores, at_once", [
     (100, 128, 100), (100, 4, 4), (100, None, 1), (9000, 64, 1), (1000, 64, 10), (1000, 1, 1)])
 def test_as_many_are_scored_at_once_as_fit(city, monkeypatch, width, cores, at_once):
+    monkeypatch.setattr(views_module, "host_memory", lambda: 16e9)
     monkeypatch.setattr(views_module.os, "cpu_count", lambda: cores)
     view = city.views[0]
     large = replace(view, camera=replace(view.camera, width=width, height=1000))
