@@ -24,7 +24,7 @@ from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import reading
 from clsplat.io.models.ply import START, read_ply
-from clsplat.io.npz import read_npz, state_array, state_of, write_npz
+from clsplat.io.npz import read_npz, read_rows, state_array, state_of, write_npz
 from clsplat.io.records import with_format
 from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
@@ -110,7 +110,8 @@ class BlockRun(RunFolder):
         kept = {name: values[owned] if _is_by_gaussian(name) else values
                 for name, values in arrays.items()
                 if name not in REPLACED and not name.startswith(f"{Average.name}.")}
-        with replacing(self.block.exchanged(self.number)) as file:
+        # a disk takes 1 GB/s of what all blocks write; a short file is noticed, see `_owned`
+        with replacing(self.block.exchanged(self.number), synced=False) as file:
             write_npz(file, {**kept, STATE: state_array(with_format({
                 TRAINING: state, "unit": scene.unit, "offset": scene.offset.tolist(),
                 CITY: record[CITY], START: self.block.start()}))})
@@ -207,8 +208,7 @@ def _of_others(none: Arrays, others: Sequence[BlockFolder], number: int, record:
         return _in_frame_of(scene, *_owned(other, number, record, (POSITIONS, SCALES)))
 
     def take(other: BlockFolder, kind: str, of_other: NDArray[np.integer], begin: int) -> None:
-        found, frame = _owned(other, number, record, [kind])
-        found = {name: values[of_other] for name, values in found.items()}
+        found, frame = _owned(other, number, record, [kind], of_other)
         for name, values in _in_frame_of(scene, found, frame).items():
             rows[name][begin:begin + len(of_other)] = values
 
@@ -242,21 +242,27 @@ def _none_of(arrays: Arrays) -> Arrays:
     return {name: values[:0].copy() for name, values in arrays.items() if _is_by_gaussian(name)}
 
 
-def _owned(block: BlockFolder, number: int, record: dict[str, Any], wanted: Collection[str] = ()
-           ) -> tuple[Arrays, dict[str, Any]]:
+def _owned(block: BlockFolder, number: int, record: dict[str, Any], wanted: Collection[str] = (),
+           rows: NDArray[np.integer] | None = None) -> tuple[Arrays, dict[str, Any]]:
     """What a block owned at an exchange, as arrays of a checkpoint, and the unit and the offset of
     its frame with the state of its training; InputError for a file that is damaged, or of another
     city or block.
 
     `record` : of the block that reads it; `wanted` : kinds or names of the arrays that it reads,
-    besides statistics; none: all that there are."""
+    besides statistics; none: all that there are; `rows` : of them, see `read_rows`; None: all."""
     # a block that is trained again finds others that have come farther
     path = block.exchanged(min((there for there in block.exchanges_there() if there >= number),
                                default=number))
     cure = f"remove {path.parent}, and train that block again"
     with reading(path, "what a block owned at an exchange", cure):
-        arrays = read_npz(path, lambda name: not wanted or name in (STATE, *STATISTICS, *wanted)
-                          or name.partition(".")[0] in wanted)
+        def by_gaussian(name: str) -> bool:
+            return name in (*STATISTICS, *wanted) or name.partition(".")[0] in wanted
+
+        if rows is None:
+            arrays = read_npz(path, lambda name: not wanted or name == STATE or by_gaussian(name))
+        else:
+            arrays = {**read_npz(path, lambda name: name == STATE),
+                      **read_rows(path, by_gaussian, rows)}
         frame = state_of(path, arrays.pop(STATE))
         check_arrays(arrays, record["options"]["sh_degree"],
                      [kind for kind in BY_GAUSSIAN if kind in wanted or not wanted])

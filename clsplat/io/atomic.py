@@ -15,10 +15,11 @@ DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
-def replacing(path: str | PathLike[str]) -> Iterator[BufferedWriter]:
+def replacing(path: str | PathLike[str], synced: bool = True) -> Iterator[BufferedWriter]:
     """Open a binary file beside `path` that replaces it when the block ends.
 
-    If anything fails, the old file stays as it was, the new one is removed, and a full disk or a
+    `synced` : wait until the disk has it; else it survives the end of the process, but the end of
+    the machine in the next minute may leave a shorter one. If anything fails, the old file stays as it was, the new one is removed, and a full disk or a
     folder that may not be written raises InputError.
     """
     path = Path(path)
@@ -30,7 +31,8 @@ def replacing(path: str | PathLike[str]) -> Iterator[BufferedWriter]:
         with open(partial, "wb") as file:
             yield file
             file.flush()
-            os.fsync(file.fileno())
+            if synced:
+                os.fsync(file.fileno())
         os.replace(partial, path)
     except BaseException as error:
         with suppress(OSError):  # the folder is missing or read-only: so is the file

@@ -145,9 +145,9 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
     indices, reached = np.array([0, 1, 3, 5, 6, 8, 9]), np.array([0, 1, 0, 0, 1, 0, 0], bool)
     scales = rng.random((7, 3)).astype(np.float32)
 
-    def owned(number, _, record, wanted):
+    def owned(number, _, record, wanted, rows=slice(None)):
         read.append((number, *wanted))
-        return {name: values for name, values in others[number].items()
+        return {name: values[rows] for name, values in others[number].items()
                 if name in (*wanted, "statistics.seen_count")
                 or name.partition(".")[0] in wanted}, None
 
@@ -319,12 +319,12 @@ def test_parts_that_cannot_be_used_are_named(city):
     block, other = city.block(0), city.block(1)
     content = other.exchanged(1).read_bytes()
     arrays = read_npz(other.exchanged(1))
-    moment = content.index(arrays["v.sh_rest"].tobytes())
+    places = content.index(arrays["row.positions"].tobytes())
     arrays["m.positions"][:] = np.nan
     with open(other.exchanged(1).with_suffix(".nan"), "wb") as file:
         write_npz(file, arrays)
     for damaged in (content[:-300], other.exchanged(1).with_suffix(".nan").read_bytes(),
-                    content[:moment] + b"?" + content[moment + 1:]):
+                    content[:places] + b"?" + content[places + 1:]):
         other.exchanged(1).write_bytes(damaged)
         with pytest.raises(InputError, match=r"exchange_1.npz: not .*damaged .* train that block"):
             exchanged(block, BlockScene.read(block))

@@ -2,12 +2,13 @@
 
 import io
 import threading
+import zipfile
 
 import numpy as np
 import pytest
 
 from clsplat.io import npz
-from clsplat.io.npz import read_npz, write_npz
+from clsplat.io.npz import read_npz, read_rows, write_npz
 
 
 def some_arrays(count):
@@ -55,3 +56,25 @@ def test_a_compressed_or_damaged_array_is_refused(tmp_path):
     path.write_bytes(content)
     with pytest.raises(ValueError, match="CRC of array 0.npy"):
         read_npz(path)
+
+
+def test_some_rows_are_those_of_the_whole_wherever_an_array_begins(tmp_path):
+    rng, path = np.random.default_rng(0), tmp_path / "arrays.npz"
+    arrays = {"a" * length: rng.random((500, 7)).astype(np.float32) for length in range(1, 6)}
+    arrays |= {"deep": rng.random((500, 3, 5)), "one": np.arange(500, dtype=np.uint32)}
+    with open(path, "wb") as file:
+        write_npz(file, arrays)
+    for rows in (np.arange(0, 500, 3), np.array([], int), np.array([499])):
+        found = read_rows(path, lambda name: name != "aa", rows)
+        assert set(found) == set(arrays) - {"aa"}
+        for name, values in found.items():
+            assert values.dtype == arrays[name].dtype
+            assert np.array_equal(values, arrays[name][rows]), name
+    with pytest.raises(IndexError):
+        read_rows(path, lambda name: name == "one", np.array([500]))
+    path.write_bytes(path.read_bytes()[:-9_000])
+    with pytest.raises(zipfile.BadZipFile):
+        read_rows(path, lambda name: True, np.array([0]))
+    np.savez(path, columns=np.asfortranarray(arrays["deep"]))
+    with pytest.raises(ValueError, match="columns.npy is stored by columns"):
+        read_rows(path, lambda name: True, np.array([0]))
