@@ -17,10 +17,12 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from clsplat.cities.scene import BlockScene
+from clsplat.edit.select import selected
 from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.fields import reading
 from clsplat.io.models.ply import START, read_ply
@@ -67,7 +69,8 @@ def most_exchanges(steps: int) -> int:
 class BlockRun(RunFolder):
     """The run of a block, whose checkpoint at an exchange is the file of what the block owns.
 
-    Nothing else of its gaussians is needed then, as it goes on beside those of other blocks.
+    Nothing else of its gaussians is needed then, as it goes on beside those of other blocks. Its
+    model has what the block owns and its margin.
 
     Parameters
     ----------
@@ -117,6 +120,14 @@ class BlockRun(RunFolder):
                 CITY: record[CITY], START: self.block.start()}))})
         self.owned = owned, _none_of(kept)
         self.remove_checkpoint()
+
+    def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = ()
+                   ) -> None:
+        """As in `RunFolder`, without the surroundings: they are others', and twice as many."""
+        reached = self.own.region.reaches(
+            gaussians.positions.astype(np.float64) + np.asarray(offset))
+        super().save_model(selected(gaussians, reached) if reached.any() else gaussians, offset,
+                           comments)
 
 
 def other_blocks(block: BlockFolder) -> list[BlockFolder]:

@@ -1,7 +1,7 @@
 """The end of a city: one model of its blocks, its joint training, and its scores.
 
-Each block is cropped to its cell, so that every gaussian is owned once: its margin and surroundings
-belong to its neighbours. Missing blocks are listed, never ignored.
+Each block is cropped to its cell, so that every gaussian is owned once: its margin belongs to its
+neighbours. Missing blocks are listed, never ignored.
 
 Blocks learn apart from each other, under surroundings that are those of the coarse run. Where a
 device holds the whole model, steps on whole photos remove what that leaves: seams, and gaussians
@@ -71,7 +71,7 @@ class Share:
     state : merged; coarse, if the coarse model's gaussians are in its place; or the reason why it
         has no part: missing, unfinished, in training, refused.
     gaussians, trained : numbers of its gaussians in the merged model, and in its own, which has a
-        margin and surroundings.
+        margin.
     views, points : numbers of its training views, and of sparse points in its cell.
     note : an explanation for people.
     """

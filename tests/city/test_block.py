@@ -234,7 +234,9 @@ def test_a_stopped_block_ends_in_the_same_bytes(folder, city, tmp_path):
     assert [r["iteration"] for r in run.records() if r["event"] == "grow"] == [31]
     assert next(r["gaussians"] for r in run.records() if r["event"] == "step") == FIRST
     model = read_ply(run.path / "point_cloud.ply")
-    assert model.sh_degree == 1 and model.count > FIRST
+    assert model.sh_degree == 1 and run.records()[-1]["gaussians"] > FIRST
+    reached = block.region()[0].reaches(model.positions + model.offset)
+    assert reached.all() and model.count < FIRST, "its surroundings are those of others"
 
     again = CityFolder(tmp_path / "again")
     again.path.mkdir()
