@@ -10,7 +10,11 @@ scene if it has no georeference. Content of glTF has y up, and a viewer turns it
 The content is compressed as SPZ, which CesiumJS needs to draw splats.
 """
 
+from __future__ import annotations
+
+import os
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +28,7 @@ from clsplat.edit.transform import half_axes
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
+from clsplat.io.ahead import called_ahead
 from clsplat.io.folders import new_folder
 from clsplat.io.georeference.crs import conversion
 from clsplat.io.models.gltf import COMPRESSION, EXTENSION, write_spz_glb
@@ -41,6 +46,21 @@ Z_UP = np.array([0.0, 0.0, 1.0])
 ECEF = "EPSG:4978"
 BASELINE = 100.0  # metres, along which the axes of a CRS are measured on the earth
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]  # the lowest and the highest, [3] each
+
+
+@dataclass(eq=False)
+class _Tile:
+    """A tile: its name, which is its path from the root, its rows of the model and the tiles below;
+    once it is written its record and the corners of the box around all of them, and the content of
+    one above others until the one above that is written."""
+
+    name: str
+    rows: NDArray[np.intp]
+    below: Sequence[_Tile] = ()
+    content: Gaussians | None = None
+    low: Any = None
+    high: Any = None
+    record: Any = None
 
 
 def write_run_tiles(folder: Path, run: Run, gaussians: Gaussians,
@@ -63,7 +83,7 @@ def write_tiles(folder: Path, gaussians: Gaussians, georeference: Georeference |
     georeference : of its original coordinates; None: the tileset has those of the scene.
     comments : lines of text for the files of the tiles.
     limit : gaussians of a tile at most.
-    progress : called with the number of gaussians in finished leaves, and of all.
+    progress : called with the number of tiles that are written, and of all.
 
     Returns
     -------
@@ -71,36 +91,39 @@ def write_tiles(folder: Path, gaussians: Gaussians, georeference: Georeference |
     """
     (folder / CONTENT).mkdir()
     positions = gaussians.positions.astype(np.float64)
-    done = tiles = 0
+    levels, threads = [[_Tile("0", np.arange(gaussians.count))]], os.cpu_count() or 1
+    while large := [tile for tile in levels[-1] if len(tile.rows) > limit]:
+        parts = called_ahead(lambda tile: parted(positions, tile.rows, limit, ROUNDS), zip(large),
+                             threads, threads)
+        for tile, some in zip(large, parts):
+            tile.below = [_Tile(f"{tile.name}{number}", part) for number, part in enumerate(some)]
+        levels.append([child for tile in large for child in tile.below])
 
-    def write(name: str, rows: NDArray[np.intp]) -> tuple[Gaussians, Corners, dict[str, Any]]:
-        """Write a tile, named by its path from the root, and those below it; returns its content,
-        the box around all of them, and its record."""
-        nonlocal done, tiles
-        below = [] if len(rows) <= limit else [
-            write(f"{name}{number}", part)
-            for number, part in enumerate(parted(positions, rows, limit, ROUNDS))]
-        records = [record for *_, record in below]
-        if below:
-            content = decimated(merged([child for child, *_ in below]), limit)
-            error = max(ERROR_OF_SIGMA * mean_sigma(content),
-                        *(record["geometricError"] for record in records))
-        else:
-            content, error = selected(gaussians, rows), 0.0
-            done += len(rows)
+    def write(tile: _Tile) -> None:
+        """Write a tile, those below which are written."""
+        content = selected(gaussians, tile.rows) if not tile.below else decimated(merged([
+            child.content or selected(gaussians, child.rows) for child in tile.below]), limit)
         low, high = _corners(content)
-        for _, (least, most), _ in below:
-            low, high = np.minimum(low, least), np.maximum(high, most)
-        uri = f"{CONTENT}/{name}.glb"
+        for child in tile.below:
+            low, high = np.minimum(low, child.low), np.maximum(high, child.high)
+            child.content = None
+        tile.low, tile.high = low, high
+        uri = f"{CONTENT}/{tile.name}.glb"
         write_spz_glb(folder / uri, content, comments)
-        tiles += 1
-        progress(done, gaussians.count)
         box = [*((low + high) / 2).tolist(), *np.diag((high - low) / 2).ravel().tolist()]
-        return content, (low, high), {
-            "boundingVolume": {"box": box}, "geometricError": error, "content": {"uri": uri},
-            **({"children": records} if records else {})}
+        tile.record = {"boundingVolume": {"box": box}, "geometricError": 0.0,
+                       "content": {"uri": uri}}
+        if tile.below:
+            tile.content, children = content, [child.record for child in tile.below]
+            tile.record |= {"children": children, "geometricError": max(
+                ERROR_OF_SIGMA * mean_sigma(content),
+                *(child["geometricError"] for child in children))}
 
-    _, (low, high), root = write("0", np.arange(gaussians.count))
+    root, count, done = levels[0][0], sum(map(len, levels)), 0
+    for level in reversed(levels):
+        for _ in called_ahead(write, zip(level), threads, threads):
+            done += 1
+            progress(done, count)
     used = [EXTENSION, COMPRESSION]
     transform = placement(gaussians.offset, georeference)
     write_object(folder / TILESET, {
@@ -109,9 +132,9 @@ def write_tiles(folder: Path, gaussians: Gaussians, georeference: Georeference |
         # Cesium decides by this how to load the content
         "extensions": {"3DTILES_content_gltf": {"extensionsUsed": used,
                                                 "extensionsRequired": used}},
-        "geometricError": float(np.linalg.norm(high - low)),
-        "root": {"transform": transform.T.ravel().tolist(), "refine": "REPLACE", **root}})
-    return tiles
+        "geometricError": float(np.linalg.norm(root.high - root.low)),
+        "root": {"transform": transform.T.ravel().tolist(), "refine": "REPLACE", **root.record}})
+    return count
 
 
 def placement(offset: NDArray[np.float64], georeference: Georeference | None

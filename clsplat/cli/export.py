@@ -67,7 +67,7 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
         progress.phase(f"writing {output}")
         part = selected(gaussians, keep).with_sh_degree(degree)
         if is_folder:
-            tiles = write_run_tiles(output, opened, part, partial(progress.count, "gaussian"))
+            tiles = write_run_tiles(output, opened, part, partial(progress.count, "tile"))
         elif is_page:
             write_run_page(output, opened, part, photos)
         else:

@@ -18,9 +18,9 @@ DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 def replacing(path: str | PathLike[str], synced: bool = True) -> Iterator[BufferedWriter]:
     """Open a binary file beside `path` that replaces it when the block ends.
 
-    `synced` : wait until the disk has it; else it survives the end of the process, but the end of
-    the machine in the next minute may leave a shorter one. If anything fails, the old file stays as it was, the new one is removed, and a full disk or a
-    folder that may not be written raises InputError.
+    If anything fails, the old file stays as it was, the new one is removed, and a full disk or a
+    folder that may not be written raises InputError. `synced` : wait until the disk has it; else it
+    survives the end of the process, but that of the machine soon after may leave a shorter one.
     """
     path = Path(path)
     partial = path.with_name(path.name + PARTIAL)

@@ -34,6 +34,7 @@ MAGIC, VERSION, WITH_STREAMS = b"NGSP", 3, 4
 ANTIALIASED, EXTENDED = 1, 2  # flags
 # with the flags, and without the time, so that equal models give equal bytes
 GZIP_HEADER = b"\x1f\x8b\x08%c\0\0\0\0\2\xff"
+LEVEL = 6  # of deflate: 9 makes files 1 to 3 % smaller in eight times the time
 COMMENT = 16  # the flag of a comment, which ends with a zero byte; other readers skip it
 ORIGIN = re.compile(rb"origin_of_positions (\S+) (\S+) (\S+)")
 ROTATION_BYTES = {2: 3, 3: 4, 4: 4}  # by the version
@@ -94,7 +95,7 @@ def packed_spz(path: Path, gaussians: Gaussians, notes: values.Notes) -> tuple[b
     if origin.any():
         place = " ".join(repr(float(value)) for value in origin)
         head = GZIP_HEADER % COMMENT + f"origin_of_positions {place}\0".encode()
-    packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS, 9)
+    packer = zlib.compressobj(LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS, 9)
     end = struct.pack("<II", zlib.crc32(content), len(content) & 0xFFFFFFFF)
     return head + packer.compress(content) + packer.flush() + end, degree
 
