@@ -52,7 +52,7 @@ SMALL_COLUMNS: Final = 14  # of a gaussian without the harmonics above the const
 CATCH_UP_EVERY: Final = 100  # steps after which dense Adam moves the rows that no view saw, too
 LAZY_TERMS: Final = 8  # columns of the sums by which a row catches up (cl/adam.cl)
 PAGE_ABSENT: Final = 1 << 31  # in place of the slot of a page that is not on the device
-PAGE_ROWS: Final = 1024  # rows whose harmonics come to the device and leave it together
+PAGE_ROWS: Final = 4096  # rows whose harmonics come to the device and leave it together
 STEP_SPREAD: Final = 8  # work-items of the group form for a row that has a gradient
 CATCH_UP_SPREAD: Final = 2  # and for a row that may have to catch up
 

@@ -40,7 +40,7 @@ LEAST_SIDE = 64  # pixels
 MOST_SIZES = 8  # of a block's windows: each is a recorded frame, anew after every round of growth
 MOST_STEPS = 32  # of the sides of windows in a photo's longest side, so that few sizes differ
 MOST_COUNTED = 20_000  # gaussians for which shares are counted
-MOST_BOUNDED = 200_000  # gaussians of a block by which windows are found
+MOST_BOUNDED = 20_000  # gaussians of a block by which windows are found
 
 SIZED_TOGETHER = 1 << 20  # gaussians whose sizes a thread finds in all views
 
