@@ -79,12 +79,13 @@ def trials(device: Device, begin: Callable[[Device], Turn], turns: int) -> Itera
     begin : begins the same steps on a device that is open.
     turns : of each trial.
     """
-    best = device
+    best, seen = device, {_effective(device)}
     for name in USED.of(device):
         for value in SIZES[name]:
             other = Device(device.handle, form=device.form, tuning={**best.tuning, name: value})
-            if _effective(other) == _effective(best):
+            if _effective(other) in seen:
                 continue
+            seen.add(_effective(other))
             trial = _compared(name, best, other, begin, turns)
             yield trial
             if trial.faster:

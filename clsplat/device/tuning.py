@@ -17,7 +17,7 @@ REPORTED: dict[str, Collection[Any]] = {  # by a device, and the values that the
     "kind": ("cpu", "gpu"), "wave": (32, 64), "compute_units": range(1, 1 << 31),
     "local_bytes": range(1, 1 << 31)}
 SIZES: dict[str, Collection[int]] = {  # and the values for which kernels are written
-    "item_runs": (1, 2, 4, 8, 16), "group_size": (32, 64, 128, 256, 512),
+    "item_runs": (1, 2, 4, 8, 16), "group_size": (32, 64, 128, 256),
     "scan_group": (64, 128, 256), "tile": (8, 16), "bucket": (32, 64, 128),
     "adjoint_waves": (1, 2, 4)}
 CURE = f"write it with `clsplat bench tune`, or unset {TUNING}"
@@ -36,7 +36,7 @@ def tuning_of(kind: str, wave: int, compute_units: int = 0, local_bytes: int = 0
     Returns
     -------
     item_runs : work-items a core of the item form's FOR_EACH, as cores are not equally busy.
-    group_size : work-items a group of the group form's FOR_EACH.
+    group_size : work-items a group of the group form's FOR_EACH, at most MOST_ITEMS of adam.cl.
     scan_group : work-items a group that scans or sums, a power of two, at most LANES.
     tile : pixels, the width and height of a tile of the group form.
     bucket : pairs for which one group of the blend adjoint works, a multiple of 32.
