@@ -149,6 +149,8 @@ def untrue(words, users):
 def untrue_command(words):
     if not words or not re.fullmatch(r"[a-z][a-z-]*", words[0]):
         return untrue_flags(None, words)
+    if (two := " ".join(words[:2])) in main.commands:
+        return untrue_flags(two, words[2:])
     if words[0] not in main.commands:
         return f"there is no command `clsplat {words[0]}`"
     return untrue_flags(words[0], words[1:])

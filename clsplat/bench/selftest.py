@@ -39,11 +39,11 @@ Compared = list[tuple[ArrayLike, ArrayLike]]  # what the device computed, and wh
 
 
 def check(device: Device) -> list[tuple[str, bool, str]]:
-    """The results of every check, in both kernel forms on the device of `device`.
+    """The results of every check, in both kernel forms on the device of `device`, in its sizes.
 
     A result is its name, whether it passed, and the error or what the driver raised.
     """
-    return [_result(Device(device.handle, form=form), *row)
+    return [_result(Device(device.handle, form=form, tuning=device.tuning), *row)
             for form in ("item", "group") for row in CHECKS]
 
 

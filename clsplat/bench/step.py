@@ -14,9 +14,15 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.training.photos import Photos
 from clsplat.training.session import Session
-from clsplat.training.start.prepare import prepare
+from clsplat.training.start.prepare import PreparedScene, prepare
 
 STREAM = 16  # steps that are enqueued without waiting: few enough for any driver's queue
+
+
+def prepared_for(scene: Path, **options: Any) -> PreparedScene:
+    """A scene, read for plain steps: without the parts that some trainings have."""
+    return prepare(read_scene(scene), resolve({}, {
+        "max_resolution": 0, "exposure": "off", "engine": "device", "sphere": False, **options}))
 
 
 def time_steps(device: Device, scene: Path, count: int, profile: bool, **options: Any
@@ -37,8 +43,7 @@ def time_steps(device: Device, scene: Path, count: int, profile: bool, **options
     has done it; launches, waits and allocations of such a step; device_mib; and kernels_ms by
     function, of a profile.
     """
-    prepared = prepare(read_scene(scene), resolve({}, {
-        "max_resolution": 0, "exposure": "off", "engine": "device", "sphere": False, **options}))
+    prepared = prepared_for(scene, **options)
     views = prepared.train_views
     gaussians = sampled(prepared.scene, count or len(prepared.scene.points), 3)
     device.trim()

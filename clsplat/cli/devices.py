@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from clsplat.device.find import ListedDevice
 
 PACKAGES = "clsplat", "pyopencl", "numpy"  # whose versions a report tells
-SIZES = "wave", "group_size", "scan_group", "tile", "bucket", "adjoint_group"  # of a Device
+SIZES = ("wave", "item_runs", "group_size", "scan_group", "tile", "bucket",
+         "adjoint_group")  # of a Device
 
 
 @click.command()
@@ -30,6 +31,8 @@ def devices(check: bool, report: bool) -> None:
     """
     from clsplat.device import list_devices
     from clsplat.device.find import NO_DEVICE
+    from clsplat.device.tuning import user_rows
+    user_rows()  # a file that cannot be used is no fault of a device
     listed = list_devices()
     if report:
         versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)

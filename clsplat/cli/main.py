@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import click
 
 from clsplat import __version__
-from clsplat.cli.bench import bench
+from clsplat.cli.bench import bench, tune
 from clsplat.cli.city import block, city, merge, partition_command
 from clsplat.cli.devices import devices
 from clsplat.cli.edit import edit
@@ -47,6 +47,13 @@ class Reporting(click.Group):
         self.sections[heading] = [command.name or "" for command in commands]
         for command in commands:
             self.add_command(command)
+
+    def resolve_command(self, ctx: click.Context, args: list[str]
+                        ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that the arguments begin with, whose name may have two words."""
+        name = " ".join(args[:2])
+        return ((name, self.commands[name], args[2:]) if name in self.commands else
+                super().resolve_command(ctx, args))
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the sections."""
@@ -146,7 +153,7 @@ main.add_section("Train", plan, train, evaluate, compare)
 main.add_section("Results", render, view, export, edit, map_command, film)
 main.add_section("Large scenes", city, partition_command, block, merge)
 main.add_section("Data", sfm, georeference, pack)
-main.add_section("Machine", devices, bench)
+main.add_section("Machine", devices, bench, tune)
 
 # `Reporting` finds the flag in the arguments; as an option it is in the help and allowed anywhere
 for _command in (main, *main.commands.values()):

@@ -1,13 +1,10 @@
-"""Tests of what a device can do, by building and running two-line kernels, and sizes that suit it.
+"""Tests of what a device can do, by building and running two-line kernels.
 
 Every device needs OpenCL C 1.2, 32-bit integer atomics, 32 KiB of local memory and work-groups of
 at least 64. A feature that a driver lists may not work, so only what has run counts.
 """
 
-import json
 import warnings
-from functools import cache
-from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -93,26 +90,3 @@ def probe_capabilities(context: cl.Context, handle: cl.Device) -> dict[str, bool
         except cl.Error:
             works[name] = False
     return works
-
-
-@cache
-def tuning_of(kind: str, wave: int) -> dict[str, int]:
-    """Sizes of the kernels of a device, from one table: `tuning.json`.
-
-    Parameters
-    ----------
-    kind : "cpu" or "gpu".
-    wave : lanes that run in step.
-
-    Returns
-    -------
-    item_runs : work-items a core of the item form's FOR_EACH, as cores are not equally busy.
-    group_size : work-items a group of the group form's FOR_EACH.
-    scan_group : work-items a group that scans or sums, a power of two, at most LANES.
-    tile : pixels, the width and height of a tile.
-    bucket : pairs for which one group of the blend adjoint works, a multiple of 32.
-    adjoint_waves : waves of that group.
-    """
-    table = json.loads(resources.files(__package__).joinpath("tuning.json").read_text("utf-8"))
-    return next(row for row in table["rows"]
-                if row["kind"] == kind and row.get("wave", wave) == wave)

@@ -3,7 +3,7 @@
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from functools import partial
@@ -15,10 +15,11 @@ import pyopencl.tools
 from numpy.typing import ArrayLike, DTypeLike
 
 from clsplat.device.array import Arena, Array, Block
-from clsplat.device.capabilities import probe_capabilities, probe_wave, tuning_of
+from clsplat.device.capabilities import probe_capabilities, probe_wave
 from clsplat.device.graph import Graph
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Defines, Kernel
 from clsplat.device.programs import build, define_options, kernel_source, words_of
+from clsplat.device.tuning import tuning_of
 from clsplat.errors import TOO_LARGE, DeviceError, OutOfDeviceMemory
 
 SMALLEST_BYTES = 64  # of a buffer
@@ -38,13 +39,16 @@ class Device:
         "auto", which chooses by the type of the device.
     profiling : whether `profile` can be used.
     build_options : further options of the OpenCL compiler.
+    tuning : sizes as of `tuning_of`; None: those that it gives for what the device reports.
 
     Attributes
     ----------
+    reported : by the device, of what decides its sizes.
+    tuning : sizes as of `tuning_of`; the ones below are these, as far as the device allows.
     real : the type of floating-point numbers in this precision.
     tile : pixels, the width and height of a tile.
     wave : lanes that run in step, 32 or 64: the group form's pixels of a sub-tile.
-    item_runs, group_size, scan_group, bucket : as for `tuning_of`, as far as the device allows.
+    item_runs, group_size, scan_group, bucket : as for `tuning_of`.
     adjoint_group : lanes of a group of the blend adjoint, a multiple of `wave`.
     largest_buffer : bytes.
     memory_limit : bytes that arrays may take together; at first all memory of the device.
@@ -56,7 +60,8 @@ class Device:
     """
 
     def __init__(self, handle: Handle, precision: str = "float", form: str = "auto",
-                 profiling: bool = False, build_options: Sequence[str] = ()) -> None:
+                 profiling: bool = False, build_options: Sequence[str] = (),
+                 tuning: Mapping[str, int] | None = None) -> None:
         self.handle = handle
         self.name = handle.name.strip()
         self.is_cpu = bool(handle.type & cl.device_type.CPU)
@@ -70,13 +75,17 @@ class Device:
         self.largest_buffer = handle.max_mem_alloc_size
         self.limit_memory()
         self.wave = probe_wave(self.context, handle)
-        tuning = tuning_of("cpu" if self.is_cpu else "gpu", self.wave)
+        self.reported: dict[str, Any] = {
+            "kind": "cpu" if self.is_cpu else "gpu", "wave": self.wave,
+            "compute_units": self.compute_units, "local_bytes": handle.local_mem_size}
+        self.tuning = tuning = dict(tuning or tuning_of(**self.reported))
         most_items = handle.max_work_group_size
         self.item_runs, self.bucket = tuning["item_runs"], tuning["bucket"]
         self.group_size = min(tuning["group_size"], most_items)
         self.scan_group = min(tuning["scan_group"], 1 << most_items.bit_length() - 1)
         # a lane owns a pixel of a tile, which is smaller where groups are; the item form's is fixed
-        self.tile = tuning["tile"] if self.form == "item" or most_items >= tuning["tile"]**2 else 8
+        self.tile = 16 if self.form == "item" else (
+            tuning["tile"] if most_items >= tuning["tile"]**2 else 8)
         self.adjoint_group = min(tuning["adjoint_waves"] * self.wave, self.tile**2)
         # an immediate allocation fails now, and not at a launch
         immediate = cl.tools.ImmediateAllocator(self.queue)

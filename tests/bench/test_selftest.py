@@ -10,6 +10,7 @@ import pytest
 
 from clsplat.bench import selftest
 from clsplat.densify.scores import Statistics
+from clsplat.device import Device
 from clsplat.loss.image_loss import image_loss
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.primitives.compact import compact
@@ -126,6 +127,12 @@ def test_check_covers_both_forms(float_device, monkeypatch):
     monkeypatch.setattr(selftest, "CHECKS", selftest.CHECKS[:1])
     assert [(name, passed) for name, passed, _ in selftest.check(float_device)] == [
         (f"sort, gather and compaction, {form} form", True) for form in ("item", "group")]
+
+
+def test_check_has_the_sizes_of_the_device(item_device, monkeypatch):
+    device = Device(item_device.handle, tuning={**item_device.tuning, "item_runs": 16})
+    monkeypatch.setattr(selftest, "CHECKS", [("sizes", 0, lambda made: [(made.item_runs, 16)])])
+    assert [passed for _, passed, _ in selftest.check(device)] == [True, True]
 
 
 def by_the_reference():

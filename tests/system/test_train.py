@@ -157,6 +157,7 @@ def test_the_run_knows_how_it_was_made(item_device, city, tmp_path):
     assert options["seed"] == 3 and options["iterations"] == 30
     assert options["scene_absolute"] == str(CITY) and len(options["fingerprint"]) == 64
     assert options["opencl_device"] == item_device.name and options["kernel_form"] == "item"
+    assert options["kernel_sizes"] == item_device.tuning
     assert {"version", "commit", "extent", "offset"} <= set(options)
 
 

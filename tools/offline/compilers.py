@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clsplat.constants import SHARED
-from clsplat.device.capabilities import tuning_of
 from clsplat.device.programs import define_options, kernel_source
+from clsplat.device.tuning import tuning_of
 from clsplat.errors import InputError
 from tools.offline.work import Program
 

@@ -67,7 +67,8 @@ def begin(prepared: PreparedScene, device: Device, folder: Path, progress: Silen
 def trained_on(scene: Scene, init: str, device: Device, is_stage: bool = False) -> dict[str, Any]:
     """What a run is trained on and begins with (the option `init`), for its options.json."""
     return {"scene": scene.path, "fingerprint": fingerprint(scene), START: digest_of(init),
-            "opencl_device": device.name, "kernel_form": device.form, "extent": scene.extent,
+            "opencl_device": device.name, "kernel_form": device.form,
+            "kernel_sizes": device.tuning, "extent": scene.extent,
             "offset": scene.offset.tolist(), PART_OF_CITY: is_stage}
 
 
