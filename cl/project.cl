@@ -99,6 +99,7 @@ __kernel void project(__global const uint *restrict counts,
         real basis[SH_SIZE];
         const real3 d = view_direction(camera, vload3(row, positions));
         harmonics(d, basis);
+#pragma unroll
         for (uint k = 0; k < SH_ACTIVE; k++)
             colour += basis[k] * HARMONIC(k);
 #endif
@@ -270,17 +271,20 @@ __kernel void project_adjoint(
 #if DEGREE > 0
         real basis[SH_SIZE], weight[SH_SIZE];
         const real3 offset = vload3(row, positions) - vload3(0, camera + CAMERA_POSITION);
-        const real3 d = normalize(offset);
+        const real inverse_distance = 1 / length(offset);
+        const real3 d = offset * inverse_distance;
         harmonics(d, basis);
+#pragma unroll
         for (uint k = 0; k < SH_ACTIVE; k++)
             colour += basis[k] * HARMONIC(k);
 #endif
         grad_colour = select((real3)(0), grad_colour, drawn(colour));
 #if DEGREE > 0
+#pragma unroll
         for (uint k = 0; k < SH_ACTIVE; k++)
             weight[k] = dot(grad_colour, HARMONIC(k));
         const real3 g = harmonics_gradient(d, weight);
-        grad_position += (g - d * dot(d, g)) / length(offset);
+        grad_position += (g - d * dot(d, g)) * inverse_distance;
         vstore3(d, v, directions);
 #endif
         vstore3(grad_position, v, grad_positions);

@@ -26,32 +26,15 @@
 #define NO_MATCH -1
 
 // A window of the reference: every `stride`-th row and column, less the mean of them. The stride is
-// a constant where these functions are called, so that compilers unroll their loops.
-typedef struct {
-    real values[SIDE * SIDE];
-    real mean, variance;
-} Window;
+// a constant where these functions are called, so that compilers can unroll their loops.
+// FOR_WINDOW(row, column, stride) { body } walks it; WINDOW_VALUE(window, tap, place) is its
+// tap-th value, `place` pixels from the first.
 #define TAPS(stride) (((SIDE - 1) / (stride) + 1) * ((SIDE - 1) / (stride) + 1))
-
-INLINE void load_window(Window *window, __global const real2 *restrict image, int width, int x,
-                        int y, int stride)
-{
-    const int taps = TAPS(stride);
-    real sum = 0, squares = 0;
-    int tap = 0;
-    for (int row = 0; row < SIDE; row += stride)
-        for (int column = 0; column < SIDE; column += stride) {
-            const real value = image[(y + row - REACH) * width + x + column - REACH].x;
-            window->values[tap++] = value;
-            sum += value;
-        }
-    for (tap = 0; tap < taps; tap++) {
-        window->values[tap] -= sum / taps;
-        squares += window->values[tap] * window->values[tap];
-    }
-    window->mean = sum / taps;
-    window->variance = squares / taps;
-}
+#if FORM_ITEM
+#include "item/sweep.cl"
+#else
+#include "group/sweep.cl"
+#endif
 
 // Bilinear sample at (u, v), where the centre of pixel (0, 0) is (0.5, 0.5); beyond the border of
 // the photo, that of the border.
@@ -92,15 +75,14 @@ INLINE real correlation(const Window *window, int stride, real x, real y, real i
     const int taps = TAPS(stride);
     real sum = 0, squares = 0, products = 0;
     int tap = 0;
-    for (int row = 0; row < SIDE; row += stride)
-        for (int column = 0; column < SIDE; column += stride) {
-            const real dx = column - REACH, dy = row - REACH;
-            const real value = sampled(image, width, size, u + dx * by_x.x + dy * by_y.x,
-                                       v + dx * by_x.y + dy * by_y.y) - window->mean;
-            sum += value;
-            squares += value * value;
-            products += value * window->values[tap++];
-        }
+    FOR_WINDOW(row, column, stride) {
+        const real dx = column - REACH, dy = row - REACH;
+        const real value = sampled(image, width, size, u + dx * by_x.x + dy * by_y.x,
+                                   v + dx * by_x.y + dy * by_y.y) - window->mean;
+        sum += value;
+        squares += value * value;
+        products += value * WINDOW_VALUE(window, tap++, row * width + column);
+    }
     const real variance = squares / taps - sum / taps * (sum / taps);
     if (!(variance >= (real)LEAST_VARIANCE)) // nor for a nan
         return NO_MATCH;

@@ -16,12 +16,33 @@
     TASKS % GROUP
 #error "the tasks of a tile are to be the same number for all lanes"
 #endif
+// How many moments and maps go through local memory at once: all of them; on devices with waves of
+// 64, where local memory for all would leave room for two waves a SIMD, one after another, with
+// more barriers. Every sum has the same order in both.
+#if WAVE == 64
+#define MOMENTS_AT_ONCE 1
+#define MAPS_AT_ONCE 1
+typedef real Moments;
+#define MOMENTS(batch, x, y)                                                                       \
+    ((batch) == 0 ? (x) : (batch) == 1 ? (y) : (batch) == 2 ? (x) * (x) + (y) * (y) : (x) * (y))
+#define MEAN(m) means[own][m][j]
+#else
+#define MOMENTS_AT_ONCE 4
+#define MAPS_AT_ONCE 3
+typedef real4 Moments;
+#define MOMENTS(batch, x, y) (real4)(x, y, (x) * (x) + (y) * (y), (x) * (y))
+#define MEAN(m) means[own][0][j].s##m
+#endif
+#define BATCHES (MEANS / MOMENTS_AT_ONCE)
 // Rows in local memory. Where lanes read or write real4s of successive rows, these lie 4 or 12
 // words apart, modulo 32, in different banks.
 #define PITCH 44                // of values
 #define MAP_PITCH 36            // of the sums across of a map
-#define MOMENT_PITCH 33         // of the sums across of all moments, real4s
+#define MOMENT_PITCH 33         // of the sums across of moments
 #define SUM_ROWS (WIDE_ROWS + 2) // the lowest lanes go two rows too far down, and ignore these
+#define MOMENT_REALS (SUM_ROWS * MOMENT_PITCH * MOMENTS_AT_ONCE)
+#define VALUE_REALS (WIDE_ROWS * PITCH)
+#define max_of(A, B) ((A) > (B) ? (A) : (B))
 
 // The values that a run reads, from its first on.
 #define RUN_VALUES (RUN + 2 * RADIUS)
@@ -31,6 +52,18 @@ inline void load_run(__local const real4 *from, real *values)
 #pragma unroll
     for (int i = 0; i < RUN_VECTORS; i++) {
         const real4 next = from[i];
+        values[4 * i] = next.x;
+        values[4 * i + 1] = next.y;
+        values[4 * i + 2] = next.z;
+        values[4 * i + 3] = next.w;
+    }
+}
+
+inline void load_run_of_bytes(__local const uchar4 *from, real *values)
+{
+#pragma unroll
+    for (int i = 0; i < RUN_VECTORS; i++) {
+        const real4 next = convert_real4(from[i]) * (real)(1.0 / 255);
         values[4 * i] = next.x;
         values[4 * i + 1] = next.y;
         values[4 * i + 2] = next.z;
@@ -71,8 +104,10 @@ void image_loss(int width, int height, __global const real *restrict image,
                 __global const uchar *restrict photo, __global real *restrict partials,
                 __global real *restrict maps)
 {
-    __local real4 memory[SUM_ROWS * MOMENT_PITCH]; // first values, then moments, then totals
-    __local real *values = (__local real *)memory; // x, then y
+    // first x and 255 y, then moments, then totals
+    __local real4 memory[max_of(MOMENT_REALS, VALUE_REALS + VALUE_REALS / 4) / 4];
+    __local real *values = (__local real *)memory;
+    __local uchar4 *bytes = (__local uchar4 *)(values + VALUE_REALS);
     const int group = get_group_id(0), lane = get_local_id(0);
     LOCATE_PART(group, COLUMNS, ROWS);
     LOCATE_HALO;
@@ -81,78 +116,91 @@ void image_loss(int width, int height, __global const real *restrict image,
 #if MASKED
     __global const uchar *mask = photo + 3 * plane;
 #endif
-    real loaded_x[LOADS], loaded_y[LOADS];
+    real loaded_x[LOADS];
+    uchar loaded_y[LOADS];
 #pragma unroll
     for (int i = 0; i < LOADS; i++) {
-        const real x = channel_image[PIXEL_OF(i)], y = channel_photo[PIXEL_OF(i)];
+        const real x = channel_image[PIXEL_OF(i)];
+        const uchar y = channel_photo[PIXEL_OF(i)];
         const bool counts = INSIDE(i) && COUNTS(PIXEL_OF(i));
         loaded_x[i] = counts ? x : 0;
-        loaded_y[i] = counts ? y * (real)(1.0 / 255) : 0;
+        loaded_y[i] = counts ? y : 0;
     }
 #pragma unroll
     for (int i = 0; i < LOADS; i++)
         if (HAS_PLACE(i)) {
             place[i * AT_ONCE * PITCH] = loaded_x[i];
-            place[(i * AT_ONCE + WIDE_ROWS) * PITCH] = loaded_y[i];
+            ((__local uchar *)bytes + (place - values))[i * AT_ONCE * PITCH] = loaded_y[i];
         }
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    real4 row_sums[OWN_TASKS][RUN]; // x, y, x^2 + y^2, x y
-    real2 totals[OWN_TASKS];      // |x - y|, SSIM
+    Moments row_sums[OWN_TASKS][BATCHES][RUN];
+    real2 totals[OWN_TASKS]; // |x - y|, SSIM
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
         real x[4 * RUN_VECTORS], y[4 * RUN_VECTORS];
-        __local const real4 *from = memory + row * (PITCH / 4) + run * (RUN / 4);
-        load_run(from, x);
-        load_run(from + WIDE_ROWS * PITCH / 4, y);
+        const int from = row * (PITCH / 4) + run * (RUN / 4);
+        load_run(memory + from, x);
+        load_run_of_bytes(bytes + from, y);
         totals[own] = 0;
 #pragma unroll
         for (int j = 0; j < RUN; j++) {
-            row_sums[own][j] = 0;
+#pragma unroll
+            for (int batch = 0; batch < BATCHES; batch++)
+                row_sums[own][batch][j] = 0;
             totals[own].x += fabs(x[RADIUS + j] - y[RADIUS + j]); // zero outside the image
         }
         if (row < RADIUS || row >= RADIUS + ROWS)
             totals[own].x = 0;
 #pragma unroll
-        for (int k = 0; k < RUN_VALUES; k++) {
-            const real4 moments = (real4)(x[k], y[k], x[k] * x[k] + y[k] * y[k], x[k] * y[k]);
-            ADD_TO_WINDOWS(row_sums[own], RUN, k, moments);
+        for (int k = 0; k < RUN_VALUES; k++)
+#pragma unroll
+            for (int batch = 0; batch < BATCHES; batch++) {
+                const Moments moments = MOMENTS(batch, x[k], y[k]);
+                ADD_TO_WINDOWS(row_sums[own][batch], RUN, k, moments);
+            }
+    }
+    __local Moments *sums_across = (__local Moments *)memory;
+    Moments means[OWN_TASKS][BATCHES][DOWN];
+#pragma unroll
+    for (int batch = 0; batch < BATCHES; batch++) {
+        barrier(CLK_LOCAL_MEM_FENCE);
+#pragma unroll
+        for (int own = 0; own < OWN_TASKS; own++) {
+            const int row = (own * GROUP + lane) % WIDE_ROWS;
+            const int run = (own * GROUP + lane) / WIDE_ROWS;
+#pragma unroll
+            for (int j = 0; j < RUN; j++)
+                sums_across[row * MOMENT_PITCH + run * RUN + j] = row_sums[own][batch][j];
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+#pragma unroll
+        for (int own = 0; own < OWN_TASKS; own++) {
+            const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
+#pragma unroll
+            for (int j = 0; j < DOWN; j++)
+                means[own][batch][j] = 0;
+#pragma unroll
+            for (int k = 0; k < DOWN + 2 * RADIUS; k++) {
+                const Moments moments = sums_across[(first + k) * MOMENT_PITCH + column];
+                ADD_TO_WINDOWS(means[own][batch], DOWN, k, moments);
+            }
         }
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
-#pragma unroll
-    for (int own = 0; own < OWN_TASKS; own++) {
-        const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
-        __local real4 *to = memory + row * MOMENT_PITCH + run * RUN;
-#pragma unroll
-        for (int j = 0; j < RUN; j++)
-            to[j] = row_sums[own][j];
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
 
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
         __global real *own_maps =
             maps + 3 * channel * plane + (long)(y0 + first) * width + x0 + column;
-        __local const real4 *column_sums = memory + first * MOMENT_PITCH + column;
-        real4 means[DOWN];
-#pragma unroll
-        for (int j = 0; j < DOWN; j++)
-            means[j] = 0;
-#pragma unroll
-        for (int k = 0; k < DOWN + 2 * RADIUS; k++) {
-            const real4 moments = column_sums[k * MOMENT_PITCH];
-            ADD_TO_WINDOWS(means, DOWN, k, moments);
-        }
 #pragma unroll
         for (int j = 0; j < DOWN; j++)
             if (x0 + column < width && y0 + first + j < height && first + j < ROWS) {
                 __global real *map = own_maps + j * width;
                 real by_x, by_xx, by_xy;
                 const real value =
-                    ssim(means[j].x, means[j].y, means[j].z, means[j].w, &by_x, &by_xx, &by_xy);
+                    ssim(MEAN(0), MEAN(1), MEAN(2), MEAN(3), &by_x, &by_xx, &by_xy);
                 const bool counts = COUNTS((long)(y0 + first + j) * width + x0 + column);
                 totals[own].y += counts ? value : 1;
                 map[0] = counts ? by_x : 0;
@@ -184,7 +232,8 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
                         __global const uchar *restrict photo, __global const real *restrict maps,
                         real l1_scale, real ssim_scale, __global real *restrict grad_image)
 {
-    __local real4 memory[3 * WIDE_ROWS * PITCH / 4]; // first values of the maps, then sums across
+    // first values of maps, then sums across
+    __local real4 memory[MAPS_AT_ONCE * VALUE_REALS / 4];
     __local real *values = (__local real *)memory;
     const int group = get_group_id(0), lane = get_local_id(0);
     LOCATE_PART(group, COLUMNS, ROWS);
@@ -192,76 +241,86 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
 #if MASKED
     __global const uchar *mask = photo + 3 * plane;
 #endif
+    real row_sums[OWN_TASKS][3][RUN], by[OWN_TASKS][3][DOWN];
 #pragma unroll
-    for (int m = 0; m < 3; m++) {
-        __global const real *map = maps + (3 * channel + m) * plane;
-        real loaded[LOADS];
+    for (int batch = 0; batch < 3; batch += MAPS_AT_ONCE) {
 #pragma unroll
-        for (int i = 0; i < LOADS; i++)
-            loaded[i] = map[PIXEL_OF(i)];
+        for (int m = 0; m < MAPS_AT_ONCE; m++) {
+            __global const real *map = maps + (3 * channel + batch + m) * plane;
+            real loaded[LOADS];
 #pragma unroll
-        for (int i = 0; i < LOADS; i++)
-            if (HAS_PLACE(i))
-                place[(m * WIDE_ROWS + i * AT_ONCE) * PITCH] = INSIDE(i) ? loaded[i] : 0;
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-
-    real row_sums[OWN_TASKS][3][RUN];
+            for (int i = 0; i < LOADS; i++)
+                loaded[i] = map[PIXEL_OF(i)];
+            if (batch)
+                barrier(CLK_LOCAL_MEM_FENCE);
 #pragma unroll
-    for (int own = 0; own < OWN_TASKS; own++) {
-        const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
-        __local const real4 *from = memory + row * (PITCH / 4) + run * (RUN / 4);
+            for (int i = 0; i < LOADS; i++)
+                if (HAS_PLACE(i))
+                    place[(m * WIDE_ROWS + i * AT_ONCE) * PITCH] = INSIDE(i) ? loaded[i] : 0;
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
 #pragma unroll
-        for (int m = 0; m < 3; m++) {
-            real by[4 * RUN_VECTORS];
-            load_run(from + m * (WIDE_ROWS * PITCH / 4), by);
+        for (int own = 0; own < OWN_TASKS; own++) {
+            const int row = (own * GROUP + lane) % WIDE_ROWS;
+            const int run = (own * GROUP + lane) / WIDE_ROWS;
+            __local const real4 *from = memory + row * (PITCH / 4) + run * (RUN / 4);
 #pragma unroll
-            for (int j = 0; j < RUN; j++)
-                row_sums[own][m][j] = 0;
+            for (int m = 0; m < MAPS_AT_ONCE; m++) {
+                real of_map[4 * RUN_VECTORS];
+                load_run(from + m * (VALUE_REALS / 4), of_map);
 #pragma unroll
-            for (int k = 0; k < RUN_VALUES; k++)
-                ADD_TO_WINDOWS(row_sums[own][m], RUN, k, by[k]);
+                for (int j = 0; j < RUN; j++)
+                    row_sums[own][batch + m][j] = 0;
+#pragma unroll
+                for (int k = 0; k < RUN_VALUES; k++)
+                    ADD_TO_WINDOWS(row_sums[own][batch + m], RUN, k, of_map[k]);
+            }
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+#pragma unroll
+        for (int own = 0; own < OWN_TASKS; own++) {
+            const int row = (own * GROUP + lane) % WIDE_ROWS;
+            const int run = (own * GROUP + lane) / WIDE_ROWS;
+            __local real4 *row_to = memory + row * (MAP_PITCH / 4) + run * (RUN / 4);
+#pragma unroll
+            for (int m = 0; m < MAPS_AT_ONCE; m++) {
+                const real *sums = row_sums[own][batch + m];
+                __local real4 *to = row_to + m * (SUM_ROWS * MAP_PITCH / 4);
+                to[0] = (real4)(sums[0], sums[1], sums[2], sums[3]);
+                to[1] = (real4)(sums[4], sums[5], sums[6], sums[7]);
+            }
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+#pragma unroll
+        for (int own = 0; own < OWN_TASKS; own++) {
+            const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
+            __local const real *column_sums = values + first * MAP_PITCH + column;
+#pragma unroll
+            for (int m = 0; m < MAPS_AT_ONCE; m++) {
+#pragma unroll
+                for (int j = 0; j < DOWN; j++)
+                    by[own][batch + m][j] = 0;
+#pragma unroll
+                for (int k = 0; k < DOWN + 2 * RADIUS; k++) {
+                    const real sum = column_sums[(m * SUM_ROWS + k) * MAP_PITCH];
+                    ADD_TO_WINDOWS(by[own][batch + m], DOWN, k, sum);
+                }
+            }
         }
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
-#pragma unroll
-    for (int own = 0; own < OWN_TASKS; own++) {
-        const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
-        __local real4 *row_to = memory + row * (MAP_PITCH / 4) + run * (RUN / 4);
-#pragma unroll
-        for (int m = 0; m < 3; m++) {
-            const real *sums = row_sums[own][m];
-            __local real4 *to = row_to + m * (SUM_ROWS * MAP_PITCH / 4);
-            to[0] = (real4)(sums[0], sums[1], sums[2], sums[3]);
-            to[1] = (real4)(sums[4], sums[5], sums[6], sums[7]);
-        }
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
 
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
         const long own_pixel = channel * plane + (long)(y0 + first) * width + x0 + column;
-        __local const real *column_sums = values + first * MAP_PITCH + column;
-        real by[3][DOWN];
-#pragma unroll
-        for (int m = 0; m < 3; m++) {
-#pragma unroll
-            for (int j = 0; j < DOWN; j++)
-                by[m][j] = 0;
-#pragma unroll
-            for (int k = 0; k < DOWN + 2 * RADIUS; k++) {
-                const real sum = column_sums[(m * SUM_ROWS + k) * MAP_PITCH];
-                ADD_TO_WINDOWS(by[m], DOWN, k, sum);
-            }
-        }
 #pragma unroll
         for (int j = 0; j < DOWN; j++)
             if (x0 + column < width && y0 + first + j < height && first + j < ROWS) {
                 const long pixel = own_pixel + j * width;
                 const real x = image[pixel], y = photo[pixel] * (real)(1.0 / 255);
+                const real by_x = by[own][0][j], by_xx = by[own][1][j], by_xy = by[own][2][j];
                 const real gradient = l1_scale * sign(x - y) +
-                                      ssim_scale * (by[0][j] + 2 * x * by[1][j] + y * by[2][j]);
+                                      ssim_scale * (by_x + 2 * x * by_xx + y * by_xy);
                 grad_image[pixel] = COUNTS(pixel - channel * plane) ? gradient : 0;
             }
     }

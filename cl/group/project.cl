@@ -7,12 +7,16 @@
 #define GAUSSIANS_MEMORY                                                                           \
     __local real sh_local[PROJECT_GROUP * SH_STRIDE], sums_local[PROJECT_GROUP * SUMS];
 // LOADED: of load_harmonics and load_sums, for the gaussians from `first` on.
+// The launch has a work-item for every gaussian. The loop over v says that it has one round: in
+// one of several, compilers would keep all that they have read of the camera and of the arguments
+// in scalar registers, which are too few. Without the loop around it there would be fewer still, but
+// PoCL and Intel's runtime then crash in tests, and why was not found.
 #define FOR_EACH_GAUSSIAN(v, count, LOADED)                                                        \
     for (ulong first = get_group_id(0) * (ulong)PROJECT_GROUP;                                     \
          first < (count) && meet() && (LOADED) && meet();                                          \
          first += get_num_groups(0) * (ulong)PROJECT_GROUP)                                        \
         for (ulong v = first + get_local_id(0), end = min(first + PROJECT_GROUP, (ulong)(count));  \
-             v < end; v += PROJECT_GROUP)
+             v < end; v = end)
 #define HARMONIC(k) vload3(k, sh_local + get_local_id(0) * SH_STRIDE)
 #define SUMS_OF(v, sum) __local const real *sum = sums_local + get_local_id(0) * SUMS
 #define LOAD_HARMONICS(count)                                                                      \

@@ -53,5 +53,6 @@ inline real3 view_direction(__global const real *camera, real3 world)
 {
     if (ORTHOGRAPHIC)
         return vload3(2, camera + CAMERA_ROTATION);
-    return normalize(world - vload3(0, camera + CAMERA_POSITION));
+    const real3 offset = world - vload3(0, camera + CAMERA_POSITION);
+    return offset * (1 / length(offset));
 }

@@ -84,6 +84,21 @@ def test_gradients_do_not_depend_on_strips(device, monkeypatch):
         assert np.allclose(sums.sum(axis=0), results[0][0].sum(axis=0), rtol=1e-6, atol=0)
 
 
+@pytest.mark.parametrize("with_mask", [False, True])
+def test_waves_do_not_matter(group_device, monkeypatch, with_mask):
+    """Of 32 and 64 lanes, which have different numbers in local memory at once."""
+    render, photo = a_pair(70, 45, 11)
+    given = masked(photo, cases.mask(70, 45)) if with_mask else photo
+    results = []
+    for wave in (32, 64):
+        monkeypatch.setattr(group_device, "wave", wave)
+        check(group_device, render, photo, f"waves of {wave}",
+              valid=cases.mask(70, 45) if with_mask else True)
+        results.append([r.download() for r in image_loss(
+            group_device, group_device.upload(render), group_device.upload(given), WEIGHT)])
+    assert all(np.array_equal(*values) for values in zip(*results))
+
+
 FLAT = [(render, photo) for render in (0.0, 1.0, 1e-20, 0.7, 30.0) for photo in (0, 255)]
 
 
