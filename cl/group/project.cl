@@ -9,8 +9,8 @@
 // LOADED: of load_harmonics and load_sums, for the gaussians from `first` on.
 // The launch has a work-item for every gaussian. The loop over v says that it has one round: in
 // one of several, compilers would keep all that they have read of the camera and of the arguments
-// in scalar registers, which are too few. Without the loop around it there would be fewer still, but
-// PoCL and Intel's runtime then crash in tests, and why was not found.
+// in scalar registers, which are too few. Without the loop around it there would be fewer still,
+// but PoCL and Intel's runtime then crash in tests, and why was not found.
 #define FOR_EACH_GAUSSIAN(v, count, LOADED)                                                        \
     for (ulong first = get_group_id(0) * (ulong)PROJECT_GROUP;                                     \
          first < (count) && meet() && (LOADED) && meet();                                          \
