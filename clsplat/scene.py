@@ -233,9 +233,7 @@ class Scene:
         known = self.observations
         if known is not None:
             inside = np.ones(len(known), bool)
-            order = np.argsort(known[:, 1], kind="stable")
-            ends = np.searchsorted(known[order, 1], np.arange(1, len(views)))
-            for view, rows in zip(views, np.split(order, ends)):
+            for view, rows in zip(views, rows_by_view(known[:, 1], len(views))):
                 if view.name in windows:
                     inside[rows] = view.sees(self.points[known[rows, 0]])
             known = known[inside]
@@ -272,3 +270,10 @@ class Scene:
     def __repr__(self) -> str:
         return (f"<clsplat.Scene {self.name!r}: {len(self.views)} views, "
                 f"{len(self.points):,} points>")
+
+
+def rows_by_view(view: NDArray[np.integer], views: int) -> list[NDArray[np.intp]]:
+    """For each of so many views the rows in which `view` int[M] names it, in their order."""
+    # numpy sorts numbers of 16 bits by radix, in a fourth of the time
+    order = np.argsort(view.astype(np.uint16) if views <= 1 << 16 else view, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(view, minlength=views))[:-1])

@@ -13,6 +13,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from clsplat.scene import rows_by_view
+
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
@@ -83,14 +85,14 @@ def by_view(point: NDArray[np.integer], view: NDArray[np.integer], views: int
             ) -> list[NDArray[np.integer]]:
     """The points that each of so many views sees, from pairs of a point and a view, in their order.
     """
-    point = point[np.argsort(view, kind="stable")]
-    return np.split(point, np.cumsum(np.bincount(view, minlength=views))[:-1])
+    return [point[rows] for rows in rows_by_view(view, views)]
 
 
 def photos_of_a_point(scene: Scene, views: Sequence[View]) -> float:
     """The mean number of `views` that show a sparse point, of those that two or more show; nan
     where that is not known."""
-    times = np.bincount(np.concatenate(observed_points(scene, views)))
+    known = scene.observations
+    times = np.bincount([] if known is None else _observed(known, scene.views, views)[0])
     several = times[times >= 2]
     return float(several.mean()) if len(several) else float("nan")
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Lens
 from clsplat.errors import InputError
+from clsplat.scene import rows_by_view
 
 Model = tuple[str, tuple[float, ...]]  # name of a camera model of COLMAP, and parameters
 PANORAMA = "EQUIRECTANGULAR"
@@ -88,9 +89,8 @@ def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
 def _observations(model: Mapping[str, NDArray[Any]], photos: NDArray[np.int64],
                   known: NDArray[Any]) -> NDArray[np.int32]:
     """int32[M, 2], rows (point, view), from rows (point, photo): each in the views that show it."""
-    order = np.argsort(known[:, 1], kind="stable")
-    points_of = np.split(known[order, 0], np.searchsorted(known[order, 1],
-                                                          np.arange(1, photos.max() + 1)))
+    points_of = [known[rows, 0] for rows in rows_by_view(
+        known[:, 1], 1 + max(photos.max(), known[:, 1].max()))]
     views_of, found = np.bincount(photos), []
     for view, photo in enumerate(photos):
         points = points_of[photo]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from clsplat.errors import reason
 from clsplat.io.atomic import replacing
 from clsplat.io.regular import open_regular, read_regular
-from clsplat.scene import View
+from clsplat.scene import View, rows_by_view
 
 PARTS = ("cameras", "images", "points3D")
 # COLMAP's camera models in the order of their numbers, and how many parameters each has
@@ -225,8 +225,7 @@ def write_colmap(folder: Path, views: Sequence[View], points: NDArray[np.float64
     """
     point, view = (np.zeros((2, 0), int) if observations is None else observations.T)
     # the rows of observations of each view, each of which then is a keypoint of its image
-    of_views = np.split(np.argsort(view, kind="stable"),
-                        np.cumsum(np.bincount(view, minlength=len(views)))[:-1])
+    of_views = rows_by_view(view, len(views))
     if pixels is None:
         pixels = np.empty((len(point), 2))
         for each, rows in zip(views, of_views):
