@@ -93,7 +93,8 @@ def test_pages_follow_growth(float_device, blocks):
     pages, positions, values = pages_of(float_device, 2)
     rng = np.random.default_rng(3)
     kept = 3 * PAGE_ROWS - 72
-    source = np.concatenate([rng.choice(COUNT, kept, replace=False), rng.choice(COUNT, 2 * PAGE_ROWS - 48)])
+    source = np.concatenate([rng.choice(COUNT, kept, replace=False),
+                             rng.choice(COUNT, 2 * PAGE_ROWS - 48)])
     pages.fetch(wanting(1, 4))
     pages.regrow(source.astype(np.uint32), kept, positions[source], "sh_rest")
     assert pages.pages == 5 and not pages.room
