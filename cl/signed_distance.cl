@@ -1,24 +1,24 @@
 // Signed distances from a surface, added up view by view from rendered depths (Curless & Levoy
-// 1996). A sample of the volume that projects to a pixel of depth D, and lies at the depth z, adds
+// 1996). A sample of the volume, at the depth z in a pixel of depth D, adds
 //
 //   w d,  d = min(1, (D - z) / truncation),
 //
-// and nothing where d < -1: what lies behind the surface is unknown. The mean over the views is zero
-// on the surface and positive before it. A view counts by how sure its depth is,
+// and nothing where d < -1: what lies behind the surface is unknown. The mean over the views is
+// zero on the surface and positive before it. A view counts by how sure its depth is,
 //
 //   w = 1 / (1 + (s / (SURE p))^2),
 //
-// where s is how far behind the depth `first`, at which little of the light is held back, D lies,
-// and p the size of a pixel at D; and not at all where more than half of the light passes (T), p is
-// more than COARSEST voxels, or the four pixels between which D is interpolated are further apart
-// than a truncation, as at a silhouette.
+// where s is how far D lies behind the depth `first`, at which little of the light is held back,
+// and p is the size of a pixel at D. It does not count where more than half of the light passes,
+// where p is more than COARSEST voxels, and where the four pixels between which D is interpolated
+// are further apart than a truncation, as at a silhouette.
 //
-// The volume consists of bricks of BRICK_SIDE^3 samples, of which only those near the surface exist.
-// Sample (i, j, k), k the fastest, lies at voxel (BRICK_CELLS brick + (i, j, k)): neighbours share a
-// layer, to the same bytes. bricks: int[B, 3]; chosen: uint[C], the bricks that the view may see;
-// depth, first, transmittance: real[H, W], of at least two pixels each way; image: real[3, H, W].
-// sums: real[DISTANCE_SUMS, B, N]: of w d, of w, the number of views, the sums of red, green and blue
-// by w (1 - |d|), and of that. One writer a sample.
+// The volume consists of bricks of BRICK_SIDE^3 samples, of which only those near the surface are
+// there. Sample (i, j, k), k the fastest, lies at voxel (BRICK_CELLS brick + (i, j, k)): neighbours
+// share a layer, to the same bytes. bricks: int[B, 3]; chosen: uint[C], the bricks that the view
+// may see; depth, first, transmittance: real[H, W], of at least two pixels each way; image: real[3,
+// H, W]. sums: real[DISTANCE_SUMS, B, N]: of w d, of w, the number of views, the sums of red, green
+// and blue by w (1 - |d|), and of that. One writer a sample.
 #include "real.h"
 #include "camera.h"
 
@@ -61,7 +61,8 @@ __kernel void signed_distance(uint count, uint chosen_count, int width, int heig
         + (int3)(sample / (BRICK_SIDE * BRICK_SIDE), sample / BRICK_SIDE % BRICK_SIDE,
                  sample % BRICK_SIDE);
     const real3 q = to_camera(camera, voxel * convert_real3(place));
-    const real2 focal = vload2(0, camera + CAMERA_FOCAL), centre = vload2(0, camera + CAMERA_CENTRE);
+    const real2 focal = vload2(0, camera + CAMERA_FOCAL);
+    const real2 centre = vload2(0, camera + CAMERA_CENTRE);
     const real u = q.x / q.z * focal.x + centre.x, v = q.y / q.z * focal.y + centre.y;
     if (!(q.z > camera[CAMERA_NEAR] && u >= 0 && v >= 0 && u < width && v < height)) // nor a nan
         return;

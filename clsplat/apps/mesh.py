@@ -148,7 +148,7 @@ def run_mesh(run: Run, scene: Scene, device: Device, voxel: float | None = None,
     if not len(bricks):
         raise InputError(f"{run.path}: no two views show a surface whose pixels are smaller than "
                          f"{COARSEST} voxels of {voxel:g}; give a larger --voxel, or train longer")
-    bricks = bricks[morton_order(bricks)]
+    bricks = bricks[morton_order(bricks.astype(np.float64))]
     size = max(1, int(min(BATCH_BYTES, BATCH_SHARE * device.handle.global_mem_size,
                           device.largest_buffer) / brick_bytes(device)))
     batches = [bricks[begin:begin + size] for begin in range(0, len(bricks), size)]
@@ -193,17 +193,17 @@ def _bricks_near_surface(views: Views, voxel: float, progress: SilentProgress) -
         found.append(np.unique(np.floor(np.concatenate(ends) / side).astype(np.int64), axis=0))
         progress.count("looking for surfaces: view", number, len(views.cameras))
     bricks, counts = np.unique(np.concatenate(found), axis=0, return_counts=True)
-    bricks = bricks[counts >= LEAST_VIEWS].astype(np.int32)
-    if len(bricks) > MOST_BRICKS:
-        raise InputError(f"--voxel {voxel:g}: the volume would have {len(bricks):,} bricks of "
-                         f"{BRICK_CELLS} voxels along a side, more than {MOST_BRICKS:,}; give a "
-                         "larger one")
-    return bricks
+    shown_by_several: Bricks = bricks[counts >= LEAST_VIEWS].astype(np.int32)
+    if len(shown_by_several) > MOST_BRICKS:
+        raise InputError(f"--voxel {voxel:g}: the volume would have {len(shown_by_several):,} "
+                         f"bricks of {BRICK_CELLS} voxels along a side, more than "
+                         f"{MOST_BRICKS:,}; give a larger one")
+    return shown_by_several
 
 
 def _sees(views: Views, camera: Camera, bricks: Bricks, voxel: float) -> NDArray[np.bool_]:
     """bool[B]: whether a camera may see a brick."""
-    low, high = (BRICK_CELLS * voxel * (bricks + end) for end in (0.0, 1.0))
+    low, high = (BRICK_CELLS * voxel * (bricks.astype(np.float64) + end) for end in (0, 1))
     return boxes_seen(low, high, np.zeros(len(bricks)), camera, views.near)
 
 
@@ -237,7 +237,8 @@ def _fewer(pieces: Pieces, batch: Bricks, bricks: Bricks) -> Pieces:
 
     def keys(places: NDArray[np.integer]) -> NDArray[np.int64]:
         x, y, z = (places - first).T.astype(np.int64)
-        return (x << 42) + (y << 21) + z
+        key: NDArray[np.int64] = (x << 42) + (y << 21) + z
+        return key
 
     others = np.setdiff1d(keys(bricks), keys(batch))
     shared = np.zeros(len(pieces.vertices), bool)

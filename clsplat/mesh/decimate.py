@@ -44,7 +44,7 @@ def decimated(vertices: Floats, colours: Floats, triangles: Triangles, keep: NDA
     free = ~keep
     free[edges[counts == 1]] = False
     middle = vertices.mean(axis=0) if len(vertices) else np.zeros(3)
-    quadrics = _quadrics(vertices - middle, triangles)  # small numbers, of which squares keep digits
+    quadrics = _quadrics(vertices - middle, triangles)  # squares of small numbers keep digits
     cluster, places, tints = np.full(len(vertices), -1), [], []
     number = 0
     for side in CELLS:
