@@ -8,17 +8,18 @@
 //
 //   w = 1 / (1 + (s / (SURE p))^2),
 //
-// where s is how far D lies behind the depth `first`, at which little of the light is held back,
-// and p is the size of a pixel at D. It does not count where more than half of the light passes,
+// where s is how far D lies behind the depth `first`, at which less of the light is held back, and
+// p is the size of a pixel at D. It does not count where more than half of the light passes,
 // where p is more than COARSEST voxels, and where the four pixels between which D is interpolated
 // are further apart than a truncation, as at a silhouette.
 //
 // The volume consists of bricks of BRICK_SIDE^3 samples, of which only those near the surface are
 // there. Sample (i, j, k), k the fastest, lies at voxel (BRICK_CELLS brick + (i, j, k)): neighbours
 // share a layer, to the same bytes. bricks: int[B, 3]; chosen: uint[C], the bricks that the view
-// may see; depth, first, transmittance: real[H, W], of at least two pixels each way; image: real[3,
-// H, W]. sums: real[DISTANCE_SUMS, B, N]: of w d, of w, the number of views, the sums of red, green
-// and blue by w (1 - |d|), and of that. One writer a sample.
+// may see; depth, first, transmittance: real[H, W], of at least two pixels each way;
+// image: real[3, H, W].
+// sums: real[7, B, N]: of w d, of w, the number of views, the sums of red, green and blue by
+// w (1 - |d|), and of that. One writer a sample.
 #include "real.h"
 #include "camera.h"
 
@@ -41,7 +42,7 @@ INLINE real depth_at(__global const real *restrict depth, int width, int height,
     const real above = upper.x + fx * (upper.y - upper.x);
     const real below = lower.x + fx * (lower.y - lower.x);
     const real found = above + fy * (below - above);
-    return nearest > 0 && farthest - nearest < truncation && isfinite(found) ? found : 0;
+    return farthest - nearest < truncation && isfinite(found) ? found : 0;
 }
 
 __kernel void signed_distance(uint count, uint chosen_count, int width, int height, real voxel,

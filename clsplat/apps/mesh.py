@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clsplat.apps.map_grid import ground_resolution
 from clsplat.apps.models import in_original
-from clsplat.apps.orthophoto import FIRST, HOLE, LEAST_VIEWS, MEDIAN
+from clsplat.apps.orthophoto import HOLE, LEAST_VIEWS, MEDIAN
 from clsplat.camera import Camera
 from clsplat.constants import BRICK_CELLS
 from clsplat.device import Device
@@ -31,10 +31,11 @@ from clsplat.rendering.slabs import boxes_seen, open_model
 from clsplat.scene import Scene
 from clsplat.training.progress import SilentProgress
 
+FIRST = 75  # per cent of the light that still passes: a median depth far behind is unsure
 TRUNCATION = 4  # voxels
 COARSEST = 4  # voxels: the largest pixel whose depth counts, as in cl/signed_distance.cl
 SKIPPED = 4  # the side of the pixels, in those of a photo, in which surfaces are looked for
-LEAST_WEIGHT = 0.25  # of a sample, by all views; of one that is sure of its depth it is 1
+LEAST_WEIGHT = 1.0  # of a sample, by all views; of one that is sure of its depth it is 1
 LEAST_DISTANCE = 1e-6  # in place of 0, at which several vertices would be one
 BATCH_BYTES = 1 << 30  # of a volume
 BATCH_SHARE = 0.25  # of a device's memory, at most
@@ -89,7 +90,8 @@ class Pieces:
         parts, of = scipy.sparse.csgraph.connected_components(links, directed=False)
         first, second, third = (self.vertices[each] for each in (a, b, c))
         area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
-        large = np.bincount(of[a], area, parts) >= ISLAND
+        sizes = np.bincount(of[a], area, parts)
+        large = sizes >= min(ISLAND, sizes.max(initial=0))
         return Pieces(self.vertices, self.colours, self.triangles[large[of[a]]],
                       self.shared)._used()
 
@@ -170,8 +172,8 @@ def run_mesh(run: Run, scene: Scene, device: Device, voxel: float | None = None,
     progress.phase("joining triangles")
     whole = Pieces.joined(pieces).without_islands() if pieces else None
     if whole is None or not len(whole.triangles):
-        raise InputError(f"{run.path}: its views agree on no surface; train longer, or give a "
-                         "larger --voxel")
+        raise InputError(f"{run.path}: its views agree on no surface in voxels of {voxel:g}; give "
+                         "another --voxel, or train longer")
     return Mesh(whole.vertices * voxel + views.offset, to_bytes(whole.colours),
                 whole.triangles.astype(np.int32), voxel)
 

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from clsplat.constants import BRICK_SIDE, CAMERA_REALS, DISTANCE_SUMS
+from clsplat.constants import BRICK_SIDE, CAMERA_REALS
 from clsplat.device import Array, Device, Kernel, items
 from clsplat.rendering.project import pack_camera
 
+SUMS = 7  # of a sample
 _PLANE = ("real", "H", "W")
 SIGNED_DISTANCE = Kernel(
     "signed_distance.cl", "signed_distance",
@@ -17,12 +18,12 @@ SIGNED_DISTANCE = Kernel(
     width="int", height="int", voxel="real", truncation="real", bricks=("int", "B", 3),
     chosen=("uint", "C"), camera=("real", CAMERA_REALS), depth=_PLANE, first=_PLANE,
     transmittance=_PLANE, image=("real", 3, "H", "W"),
-    sums=("real", DISTANCE_SUMS, "B", BRICK_SIDE**3))
+    sums=("real", SUMS, "B", BRICK_SIDE**3))
 
 
 def brick_bytes(device: Device) -> int:
     """The device memory that a brick of a volume takes."""
-    return DISTANCE_SUMS * BRICK_SIDE**3 * device.real.itemsize
+    return SUMS * BRICK_SIDE**3 * device.real.itemsize
 
 
 class Volume:
@@ -40,7 +41,7 @@ class Volume:
                  ) -> None:
         self._device, self._voxel, self._truncation = device, voxel, truncation
         self._bricks = device.upload(np.asarray(bricks, np.int32))
-        self._sums = device.zeros((DISTANCE_SUMS, len(bricks), BRICK_SIDE**3))
+        self._sums = device.zeros((SUMS, len(bricks), BRICK_SIDE**3))
 
     def add(self, chosen: NDArray[np.integer], camera: Camera, near: float, depth: Array,
             first: Array, transmittance: Array, image: Array) -> None:
@@ -50,8 +51,8 @@ class Volume:
         ----------
         chosen : int[C], the bricks that it may see, each once.
         camera, near : a pinhole camera, and the depth of its near plane, world units.
-        depth, first : real[H, W], where half of the light is held back, and where the first of it,
-            along the camera's axis, world units; sides of one pixel show nothing.
+        depth, first : real[H, W], where half of the light is held back, and where less of it is,
+            along the camera's axis, world units; an image with a side of one pixel shows nothing.
         transmittance : real[H, W].
         image : real[3, H, W].
         """
@@ -65,5 +66,5 @@ class Volume:
                 transmittance=transmittance, image=image, sums=self._sums)
 
     def download(self) -> NDArray[np.floating]:
-        """real[DISTANCE_SUMS, B, BRICK_SIDE, BRICK_SIDE, BRICK_SIDE], see cl/signed_distance.cl."""
-        return self._sums.download().reshape(DISTANCE_SUMS, -1, *3 * [BRICK_SIDE])
+        """real[SUMS, B, BRICK_SIDE, BRICK_SIDE, BRICK_SIDE], see cl/signed_distance.cl."""
+        return self._sums.download().reshape(SUMS, -1, *3 * [BRICK_SIDE])

@@ -78,6 +78,17 @@ def test_bricks_and_batches_leave_no_cracks(item_device, whole, monkeypatch):
     assert np.array_equal(again.triangles, parts.triangles)
 
 
+def test_islands_are_left_out():
+    square = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]])
+    faces = np.array([[0, 1, 2], [2, 1, 3]])
+    pieces = meshes.Pieces.joined([
+        meshes.Pieces(side * square + (0, 0, z), np.full((4, 3), z), faces, np.zeros(4, bool))
+        for side, z in ((30.0, 0), (5.0, 50), (21.0, 90))])
+    left = pieces.without_islands()
+    assert set(left.vertices[:, 2]) == {0, 90} and len(left.triangles) == 4
+    assert np.array_equal(left.vertices[left.triangles][2:, :, 2], np.full((2, 3), 90))
+
+
 @pytest.fixture(scope="module")
 def made_city():
     """A city of one block, and a scene of it without photos."""
@@ -130,6 +141,7 @@ def test_distances_of_a_made_city(made_city, tmp_path):
     found = distances(again, points)
     assert found[0] <= 50 and np.allclose(found[1:3], [-0.5, 2]) and found[3] <= 30.001
     assert np.array_equal(found, distances(city, points))
+    assert -high[2] < distances(again, (low + high)[None] / 2)[0] < -0.3, "inside of a building"
     corner = np.array([high + [0, 0, 3]])
     assert abs(distances(again, corner)[0]) <= 3 and len(on_surface(SimpleNamespace(
         vertices=np.eye(3), triangles=np.array([[0, 1, 2]])), 10)) == 10

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.constants import DISTANCE_SUMS
-from clsplat.mesh.signed_distance import Volume
+from clsplat.mesh.signed_distance import SUMS, Volume
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import precision_of
@@ -25,7 +24,7 @@ def a_view(width=29, height=21, seed=0, away=0.0):
     depth = 8.5 + 0.05 * x - 0.03 * y + rng.uniform(0, 0.1, (height, width))
     depth[:, width // 2] += 1  # a silhouette
     depth[rng.random(depth.shape) < 0.03] = 0
-    depth[rng.random(depth.shape) < 0.03] = 500  # whose pixels are too coarse
+    depth[:, 4:8], depth[:, -4:-1] = 500, 0  # whose pixels are too coarse, and none
     first = depth - rng.uniform(0, 2, depth.shape)
     planes = depth, first, rng.uniform(0, 0.6, depth.shape), rng.random((3, height, width))
     return camera, tuple(cases.single(plane) for plane in planes)
@@ -36,7 +35,7 @@ def added(device, views, chosen=ALL):
     volume = Volume(device, BRICKS, VOXEL, TRUNCATION)
     for camera, planes in views:
         volume.add(np.array(chosen), camera, NEAR, *(device.upload(plane) for plane in planes))
-    return volume.download().reshape(DISTANCE_SUMS, len(BRICKS), -1)
+    return volume.download().reshape(SUMS, len(BRICKS), -1)
 
 
 def expected(views, chosen=ALL, moved=0.0):
@@ -62,7 +61,7 @@ def test_sums(device, size):
 
 
 def test_only_chosen_bricks_change_and_neighbours_share_a_layer(float_device):
-    sums = added(float_device, [a_view()], (1, 0)).reshape(DISTANCE_SUMS, len(BRICKS), 33, 33, 33)
+    sums = added(float_device, [a_view()], (1, 0)).reshape(SUMS, len(BRICKS), 33, 33, 33)
     assert not sums[:, 2].any() and sums[2, :2].any(axis=(1, 2, 3)).all()
     assert np.array_equal(sums[:, 0, 0], sums[:, 1, -1]) and sums[2, 0, 0].any()
 
@@ -72,7 +71,7 @@ def test_only_chosen_bricks_change_and_neighbours_share_a_layer(float_device):
 def test_poison_ends_in_its_pixel(float_device, plane, bad):
     camera, planes = a_view()
     sound = added(float_device, [(camera, planes)])
-    planes[plane][..., 8:11, 5:8] = bad
+    planes[plane][..., 8:11, 10:13] = bad
     sums = added(float_device, [(camera, planes)])
     assert np.isfinite(sums[:3]).all() and np.isfinite(sums[6]).all()
     changed = (sums != sound).any(axis=0)

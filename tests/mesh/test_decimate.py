@@ -35,6 +35,16 @@ def test_a_box_keeps_its_shape_with_few_triangles():
     assert (colours == 90).all()
 
 
+def test_a_ball_stays_round():
+    places = np.stack(np.meshgrid(*3 * [np.arange(52)], indexing="ij"))
+    whole = surface_of(np.linalg.norm(places - 25.7, axis=0) - 22)
+    vertices, _, triangles, _ = decimated(*whole)
+    assert len(triangles) < 0.5 * len(whole[2]) and (edges_of(triangles)[1] == 2).all()
+    assert abs(np.linalg.norm(vertices - 25.7, axis=1) - 22).max() < 0.4
+    middles = np.linalg.norm(vertices[triangles].mean(axis=1) - 25.7, axis=1)
+    assert abs(middles - 22).max() < 1
+
+
 def test_what_is_kept_stays():
     vertices, colours, triangles, keep = surface_of(box())
     keep[::3] = True

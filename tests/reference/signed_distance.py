@@ -20,7 +20,7 @@ def depth_at(depth, pixels, truncation):
     four = np.stack([depth[y, x], depth[y, x + 1], depth[y + 1, x], depth[y + 1, x + 1]])
     weights = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
     found = (weights * four).sum(axis=0)
-    return np.where((four.min(axis=0) > 0) & (np.ptp(four, axis=0) < truncation), found, np.nan)
+    return np.where(np.ptp(four, axis=0) < truncation, found, np.nan)
 
 
 def _between(places, size):
@@ -46,9 +46,11 @@ def signed_distance(bricks, voxel, truncation, views):
             column, row = pixels[shown].astype(int).T
             found = depth_at(depth, pixels[shown], truncation)
             size = found / focal[0]
-            weight = 1 / (1 + ((depth[row, column] - first[row, column]) / (SURE * size)) ** 2)
+            with np.errstate(divide="ignore", invalid="ignore"):  # where there is no depth
+                unsure = (depth[row, column] - first[row, column]) / (SURE * size)
+            weight = 1 / (1 + unsure**2)
             d = np.minimum((found - z[shown]) / truncation, 1)
-            counts = ((d >= -1) & (size <= COARSEST * voxel)  # neither for nan
+            counts = ((found > 0) & (d >= -1) & (size <= COARSEST * voxel)  # neither for nan
                       & (transmittance[row, column] <= MOST_PASSES))
             near_surface = weight * (1 - abs(d))
             values = np.stack([weight * d, weight, np.ones(len(d)),

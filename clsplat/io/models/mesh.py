@@ -18,6 +18,7 @@ from clsplat.io.models.values import TOLERANCE, Notes
 
 ROWS_AT_A_TIME = 1 << 16
 DIGITS = 3  # of a voxel, in text
+MOST_BYTES = (1 << 32) - (1 << 20)  # of the buffers of a glTF, beside which its document is small
 TRIANGLES, UNSIGNED_SHORT, UNSIGNED_INT, INDEX_BUFFER, VERTEX_BUFFER = 4, 5123, 5125, 34963, 34962
 
 
@@ -101,6 +102,9 @@ def _write_glb(path: Path, mesh: Mesh, notes: Notes) -> None:
     colours[:, :3] = np.rint(65535 * linear)
     buffers = places, colours, mesh.triangles.astype("<u4")
     sizes = [buffer.nbytes for buffer in buffers]
+    if sum(sizes) > MOST_BYTES:
+        raise InputError(f"{path}: {len(mesh.triangles):,} triangles are more than glTF can hold; "
+                         "write a .ply, or give a larger --voxel")
     root: dict[str, Any] = {"name": UPRIGHT, "children": [1]}
     if notes.up is not None:
         turn, _ = scipy.spatial.transform.Rotation.align_vectors([(0.0, 1.0, 0.0)], [notes.up])
