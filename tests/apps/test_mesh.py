@@ -57,6 +57,7 @@ def test_places_and_colours(whole):
     assert len(whole.triangles) < 0.2 * (2 * made.SIDE / VOXEL) ** 2 * 2
 
 
+@pytest.mark.slow
 def test_bricks_and_batches_leave_no_cracks(item_device, whole, monkeypatch):
     """In any number of batches the surface is one, and has no open edge between bricks."""
     monkeypatch.setattr(meshes, "BATCH_BYTES", 9 * meshes.brick_bytes(item_device))
@@ -163,8 +164,9 @@ def test_the_command(tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"house.ply"}
 
 
-@pytest.mark.parametrize("voxel, says", [(1e-3, "finer than its pixels"), (50.0, "no surface")])
+@pytest.mark.parametrize("voxel, says", [
+    (1e-3, "smaller than 4 voxels of 0.001"), (50.0, "agree on no surface in voxels of 50")])
 def test_voxels_that_do_not_suit(item_device, voxel, says):
     scene = made.scene(None)
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=says):
         run_mesh(run_of("house", scene), scene, item_device, voxel)
