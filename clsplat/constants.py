@@ -27,6 +27,8 @@ GEOMETRY_REALS: Final = 12  # of what takes a pixel at a depth to another view (
 SHAPE_SUMS: Final = 6  # of a pair in the blend adjoint, beside those of its channels
 FREQUENCY_TERMS: Final = 11  # columns of cl/frequency.cl
 FREQUENCY_SUMS: Final = FREQUENCY_TERMS + 1
+BRICK_CELLS: Final = 32  # along a side of a brick of a volume (cl/signed_distance.cl)
+BRICK_SIDE: Final = BRICK_CELLS + 1  # samples, of which neighbours share a layer
 
 SIFT_LEVELS: Final = 6  # images of an octave (cl/sift.cl)
 SIFT_SCALES: Final = 3  # of them an octave apart

@@ -31,7 +31,7 @@ LAYERS = (
     {"partition"},
     {"io"},
     {"edit", "rendering", "sfm", "stereo"},
-    {"loss", "optimise"},
+    {"loss", "mesh", "optimise"},
     {"densify"},
     {"schedule"},
     {"options"},
@@ -55,8 +55,8 @@ NO_DEVICE = {"camera", "config", "options", "gaussians", "georeference", "placem
 
 # rooms that use what the public API is made of, and these; `training` for the page that shows one
 USED_BY_APPS = {"camera", "constants", "device", "edit", "errors", "evaluation", "gaussians",
-                "georeference", "io", "partition", "placement", "rendering", "report", "scene",
-                "training"}
+                "georeference", "io", "mesh", "partition", "placement", "rendering", "report",
+                "scene", "training"}
 
 # package -> the only folders that may import it
 WALLS = {

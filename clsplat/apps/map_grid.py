@@ -149,5 +149,6 @@ def ground_resolution(scene: Scene) -> float:
     median over views."""
     _, sizes = ground_samples(scene, scene.points)
     if not sizes:
-        raise InputError(f"{scene.name}: no photo shows a point; give --resolution")
+        raise InputError(f"{scene.name}: no photo shows a point; give --resolution, or of "
+                         "a mesh --voxel")
     return float(f"{scene.unit * np.median(sizes):.2g}")

@@ -24,6 +24,7 @@ from clsplat.loss.image_loss import image_loss as loss_and_gradient
 from clsplat.loss.regularise import regularise as regularise_rows
 from clsplat.loss.reproject import pack_pairs
 from clsplat.loss.reproject import reproject as reproject_depth
+from clsplat.mesh.signed_distance import Volume
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.noise import add_noise
@@ -287,6 +288,16 @@ def reproject(city: CityFrame) -> Cases:
         device.upload(np.eye(3, 4).reshape(1, 12)), 0, 1.0)}
 
 
+def signed_distance(city: CityFrame) -> Cases:
+    """A view added to bricks of a volume around the middle of the city."""
+    camera, plane = ring_camera(0, city.frame.size), city.device.upload(125 + city.plane())
+    bricks = np.array(list(np.ndindex(6, 6, 2))) - (3, 3, 0)
+    volume = Volume(city.device, bricks, 0.15, 0.6)
+    return {f"{len(bricks)} bricks": partial(
+        volume.add, np.arange(len(bricks)), camera, 0.01, plane, plane,
+        city.frame.blended.transmittance, city.frame.image)}
+
+
 def sort(city: CityFrame) -> Cases:
     """The stable sort of a frame's visible gaussians by depth, which the item form of binning
     needs."""
@@ -338,4 +349,4 @@ FAMILIES: dict[str, Callable[[CityFrame], Cases]] = {
     function.__name__: function for function in (
         adam, batch, bin, blend, compact, contribution, cull, depth_map, exposure, frequency,
         gather, image_loss, match, noise, pages, pose, project, reduce, regularise, reproject, sift,
-        sort, sweep)}
+        signed_distance, sort, sweep)}

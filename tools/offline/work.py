@@ -41,6 +41,7 @@ WORK: tuple[tuple[str, Mapping[str, Any]], ...] = (
     ("eval FOLDER/sig --align", {}),
     ("render FOLDER/sig -o FOLDER/rendered", {}),
     ("map FOLDER/sig -o FOLDER/map", {}),
+    ("mesh FOLDER/sig -o FOLDER/mesh.ply", {}),
     ("export FOLDER/sig -o FOLDER/page.html", {}),
     ("film FOLDER/sig -o FOLDER/film --seconds 0.1 --fps 30 --size 96x64", {}),
     (f"{TRAIN} FOLDER/constant --schedule constant --exposure on --vignetting on --poses on"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -289,3 +290,26 @@ def geometry_json(city: City, gains: NDArray[np.float64] | None = None) -> str:
     }
     rows = json.dumps(table).replace('{"kind"', '\n{"kind"').replace('{"centre"', '\n{"centre"')
     return rows + "\n"
+
+
+def read_city(path: Path) -> City:
+    """The city of a `geometry.json`."""
+    table = json.loads(path.read_text("utf-8"))
+    return City(
+        table["seed"], tuple(table["blocks"]), np.array(table["parks"], bool),
+        np.array([[box["low"], box["high"]] for box in table["boxes"]]),
+        np.array([KINDS.index(box["kind"]) for box in table["boxes"]]),
+        np.array([[*ball["centre"], ball["radius"]] for ball in table["spheres"]]).reshape(-1, 4))
+
+
+def distances(city: City, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far points [N, 3] are from the visible surface of a city, world units, below zero inside
+    of solids or ground, where it is at least so far."""
+    nearest = points[:, 2].copy()
+    for low, high in city.boxes:
+        beyond = np.maximum(low - points, points - high)
+        np.minimum(nearest, np.linalg.norm(np.maximum(beyond, 0), axis=1)
+                   + np.minimum(beyond.max(axis=1), 0), out=nearest)
+    for *centre, radius in city.spheres:
+        np.minimum(nearest, np.linalg.norm(points - centre, axis=1) - radius, out=nearest)
+    return nearest

@@ -90,7 +90,7 @@ def write_glb(path: Path, gaussians: Gaussians, notes: Notes) -> None:
             for size, end in zip(sizes, np.cumsum(sizes).tolist())]
         for view, accessor in enumerate(document["accessors"]):
             accessor["bufferView"] = view
-    _write(path, document, notes.lines, content)
+    write_document(path, document, notes.lines, content)
 
 
 def write_spz_glb(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
@@ -105,7 +105,7 @@ def write_spz_glb(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()
         f"{EXTENSION}:SCALE": three, f"{EXTENSION}:ROTATION": four,
         **dict.fromkeys(HARMONICS[:(degree + 1) ** 2 - 1], three)}
     both = [EXTENSION, COMPRESSION]
-    _write(path, {
+    write_document(path, {
         "extensionsUsed": both, "extensionsRequired": both,
         "nodes": [{"name": UPRIGHT, "mesh": 0, "matrix": STORED_TO_Y_UP}],
         "bufferViews": [{"buffer": 0, "byteLength": len(content)}],
@@ -129,7 +129,10 @@ def _mesh(attributes: dict[str, NDArray[Any]], **details: Any) -> dict[str, Any]
             "kernel": "ellipse", "colorSpace": "srgb_rec709_display", **details}}}]}]}
 
 
-def _write(path: Path, document: dict[str, Any], comments: Iterable[str], content: bytes) -> None:
+def write_document(path: Path, document: dict[str, Any], comments: Iterable[str], content: bytes
+                   ) -> None:
+    """Write a document with one scene, of node 0, with comments, and its one buffer, if it is not
+    empty; InputError if the file cannot be written."""
     document = {
         "asset": {"version": "2.0", "generator": "clsplat",
                   "extras": {"comments": list(comments)}},
