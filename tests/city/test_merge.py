@@ -215,7 +215,8 @@ def test_a_city_of_another_scene_is_refused(city, scene):
 
 def test_the_merged_run_has_the_exposures_of_the_coarse_run(city, scene):
     """By which its held-out views are scored; a coarse run without any leaves none."""
-    whole = City(city, scene, resolve({}, {}), SimpleNamespace(name="none", form="item"))
+    whole = City(city, scene, resolve({}, {}), SimpleNamespace(
+        name="none", form="item", tuning={}))
     merged_city(whole)
     assert read_exposures(city.path) is None
     known = {scene.views[1].name: Response(1.1 * np.eye(3, 4), np.array([-0.1, 0, 0.2, 1.5]))}
