@@ -298,9 +298,9 @@ def evaluate_city(city: City, merged: Merged, against: Path | None = None
     scores = seams = None
     whole = city.pinhole
     scene = run.as_trained(whole)
-    model = run.opened(city.device, scene, merged.gaussians)
     train, test = scene.split(options.test_every, options.test_offset)
     with timed(folder, "evaluation"):
+        model = run.opened(city.device, scene, merged.gaussians)
         if test:
             scores = evaluate_run(run, city.device, False, scene, METRICS, model=model)
             run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()

@@ -64,7 +64,7 @@ def test_the_self_test_passes_under_limits(limited, item_device):
     assert 0 < max(local.values()) <= LOCAL_BYTES and len(groups) > 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("form", ["item", "group"])
 def test_a_small_training_ends_under_limits(limited, item_device, tmp_path, form):
     local, _ = limited
