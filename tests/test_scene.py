@@ -10,7 +10,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.io.scenes.colmap_files import write_colmap
 from clsplat.io.scenes.read import read_scene
-from clsplat.scene import View
+from clsplat.scene import View, rows_by_view
 from tests.io.photos.test_metadata import photo
 
 
@@ -51,3 +51,12 @@ def test_portraits_stand_upright_however_they_are_stored(tmp_path, stored_uprigh
     scene = read_scene(tmp_path)
     assert scene.up @ (0, 0, 1) > 0.99
     assert scene.first_view.rotation[1] @ scene.up < -0.9  # its downward axis
+
+
+def test_rows_of_views_are_in_order_however_many_views_there_are():
+    for views in (5, 65_539):
+        view = np.random.default_rng(0).permutation(np.repeat([1, 4, views - 1], 20))
+        found = rows_by_view(view, views)
+        assert len(found) == views and sum(map(len, found)) == 60
+        for number in (0, 1, views - 1):
+            assert np.array_equal(found[number], np.flatnonzero(view == number))

@@ -5,8 +5,10 @@ import pyproj
 import pytest
 from scipy.spatial import cKDTree
 
+from clsplat.apps import tiles as tiles_module
 from clsplat.apps.models import turned_up
 from clsplat.apps.tiles import Z_UP, placement, write_tiles
+from clsplat.edit.decimate import decimated
 from clsplat.edit.select import merged
 from clsplat.georeference import Georeference
 from clsplat.io.models.formats import read_with_notes
@@ -47,12 +49,16 @@ def written(tmp_path, model, limit, georeference=None):
     return tileset, tiles
 
 
-def test_the_leaves_hold_every_gaussian_once(tmp_path):
+def test_the_leaves_hold_every_gaussian_once(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(tiles_module, "decimated", lambda whole, count: (
+        made.append(whole.count), decimated(whole, count))[1])
     model = cloud(1000, sh_degree=1, size=0.02, offset=(7.0, -3.0, 100.0))
     _, tiles = written(tmp_path, model, 60)
     leaves = [tile for tile in tiles if "children" not in tile[0]]
     inner = [tile for tile in tiles if "children" in tile[0]]
     assert len(inner) > 5 and max(tile[1].count for tile in tiles) <= 60
+    assert len(made) == len(inner) and max(made) <= 8 * 60, "of the tiles below, not of all rows"
     assert min(tile[1].count for tile in leaves) >= 30, "no tiles of a few outliers"
     whole = model.positions + model.offset
     places = np.concatenate([places for *_, places in leaves])

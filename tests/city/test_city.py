@@ -248,3 +248,5 @@ def test_two_workers_end_in_the_same(copy):
     city(copy.path, "--workers", "2")
     assert model(copy) == before
     assert len(scored) == 2 and scores() == scored
+    for border in scored[1]["borders"]:  # the merged model beside the coarse one
+        assert border["psnr"] != border["reference_psnr"]

@@ -137,3 +137,14 @@ def test_opaque_gaussians_count_in_the_mean_sigma():
     rows["log_scales"] = np.log(np.float32([[1, 2, 3], [9, 9, 9]]))
     assert mean_sigma(Gaussians(rows, 1)) == pytest.approx(2)
     assert mean_sigma(Gaussians({**rows, "opacity_logits": np.float32([-1e9, -1e9])}, 1)) == 0
+
+
+def test_parts_are_cut_across_their_longest_side_whichever_points_are_measured(monkeypatch):
+    rng = np.random.default_rng(0)
+    for most in (1 << 17, 50):
+        monkeypatch.setattr("clsplat.edit.select.MOST_MEASURED", most)
+        for axis in range(3):
+            positions = rng.random((1000, 3))
+            positions[:, axis] *= 3
+            low, high = parted(positions, np.arange(1000), 600, 1)
+            assert positions[low, axis].max() < positions[high, axis].min()
