@@ -10,8 +10,8 @@
 //
 // where s is how far D lies behind the depth `first`, at which less of the light is held back, and
 // p is the size of a pixel at D. It does not count where more than half of the light passes,
-// where p is more than COARSEST voxels, and where the four pixels between which D is interpolated
-// are further apart than a truncation, as at a silhouette.
+// where p is more than COARSEST_PIXEL voxels, and where the four pixels between which D is
+// interpolated are further apart than a truncation, as at a silhouette.
 //
 // The volume consists of bricks of BRICK_SIDE^3 samples, of which only those near the surface are
 // there. Sample (i, j, k), k the fastest, lies at voxel (BRICK_CELLS brick + (i, j, k)): neighbours
@@ -24,7 +24,6 @@
 #include "camera.h"
 
 #define SURE 2 // pixels
-#define COARSEST 4 // voxels
 #define MOST_PASSES 0.5 // of the light
 
 // The depth at (u, v), where the centre of pixel (0, 0) is at (0.5, 0.5); 0: none.
@@ -72,7 +71,7 @@ __kernel void signed_distance(uint count, uint chosen_count, int width, int heig
     const real d = fmin((found - q.z) / truncation, (real)1), size = found / focal.x;
     const real unsure = (depth[pixel] - first[pixel]) / (SURE * size);
     const real weight = 1 / (1 + unsure * unsure), near = weight * (1 - fabs(d));
-    if (!(found > 0 && d >= -1 && size <= COARSEST * voxel && weight > 0
+    if (!(found > 0 && d >= -1 && size <= COARSEST_PIXEL * voxel && weight > 0
           && transmittance[pixel] <= (real)MOST_PASSES))
         return;
     __global real *sum = sums + brick * samples + sample;

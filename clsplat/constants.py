@@ -29,6 +29,7 @@ FREQUENCY_TERMS: Final = 11  # columns of cl/frequency.cl
 FREQUENCY_SUMS: Final = FREQUENCY_TERMS + 1
 BRICK_CELLS: Final = 32  # along a side of a brick of a volume (cl/signed_distance.cl)
 BRICK_SIDE: Final = BRICK_CELLS + 1  # samples, of which neighbours share a layer
+COARSEST_PIXEL: Final = 4  # voxels: of the largest pixel whose depth counts in a volume
 
 SIFT_LEVELS: Final = 6  # images of an octave (cl/sift.cl)
 SIFT_SCALES: Final = 3  # of them an octave apart

@@ -18,7 +18,7 @@ from clsplat.apps.map_grid import ground_resolution
 from clsplat.apps.models import in_original
 from clsplat.apps.orthophoto import HOLE, LEAST_VIEWS, MEDIAN
 from clsplat.camera import Camera
-from clsplat.constants import BRICK_CELLS
+from clsplat.constants import BRICK_CELLS, COARSEST_PIXEL
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run, shown
@@ -33,7 +33,6 @@ from clsplat.training.progress import SilentProgress
 
 FIRST = 75  # per cent of the light that still passes: a median depth far behind is unsure
 TRUNCATION = 4  # voxels
-COARSEST = 4  # voxels: the largest pixel whose depth counts, as in cl/signed_distance.cl
 SKIPPED = 4  # the side of the pixels, in those of a photo, in which surfaces are looked for
 LEAST_WEIGHT = 1.0  # of a sample, by all views; of one that is sure of its depth it is 1
 LEAST_DISTANCE = 1e-6  # in place of 0, at which several vertices would be one
@@ -149,7 +148,8 @@ def run_mesh(run: Run, scene: Scene, device: Device, voxel: float | None = None,
     bricks = _bricks_near_surface(views, voxel, progress)
     if not len(bricks):
         raise InputError(f"{run.path}: no two views show a surface whose pixels are smaller than "
-                         f"{COARSEST} voxels of {voxel:g}; give a larger --voxel, or train longer")
+                         f"{COARSEST_PIXEL} voxels of {voxel:g}; give a larger --voxel, or train "
+                         "longer")
     bricks = bricks[morton_order(bricks.astype(np.float64))]
     size = max(1, int(min(BATCH_BYTES, BATCH_SHARE * device.handle.global_mem_size,
                           device.largest_buffer) / brick_bytes(device)))
@@ -186,7 +186,7 @@ def _bricks_near_surface(views: Views, voxel: float, progress: SilentProgress) -
         blended = views.blended(camera, MEDIAN)
         depth = blended.depth.download().astype(np.float64)
         usable = ((blended.transmittance.download() <= HOLE) & (depth > views.near)
-                  & (depth <= COARSEST * voxel * whole.focal[0]))
+                  & (depth <= COARSEST_PIXEL * voxel * whole.focal[0]))
         row, column = np.nonzero(usable)
         rays = np.stack([(column + 0.5 - camera.centre[0]) / camera.focal[0],
                          (row + 0.5 - camera.centre[1]) / camera.focal[1], np.ones(len(row))], 1)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.errors import InputError
-from clsplat.evaluation.views import opened
+from clsplat.evaluation.views import Model, opened
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.files import placed, read_georeference, read_orientation
@@ -186,7 +186,7 @@ class Run:
             read_poses(self.path))
 
     def opened(self, device: Device, scene: Scene, model: Gaussians | None = None
-               ) -> tuple[ModelRenderer, Any, int]:
+               ) -> Model:
         """A model on a device, to be rendered with the options of the run.
 
         Parameters
