@@ -32,7 +32,7 @@ from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
 from clsplat.options import SceneOptions
 from clsplat.partition.blocks import choose_gaussians, trainable
-from clsplat.partition.region import Region, world_of
+from clsplat.partition.region import Region, in_parts, world_of
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import BY_GAUSSIAN, Arrays, Saved, check_arrays
 from clsplat.training.loop import Training
@@ -81,15 +81,17 @@ class BlockRun(RunFolder):
     ----------
     block, own : as given.
     number : of the exchange, from 1, to which it is trained; 0: to the end.
-    owned : int[K], the rows that the block owned at its last exchange, and no rows of each kind.
+    owned : int[K], the rows that the block owned at its last exchange.
+    none : no rows of each kind, by name as in a checkpoint.
     """
 
     def __init__(self, block: BlockFolder, own: BlockScene, number: int = 0,
                  begins: Saved | None = None) -> None:
         super().__init__(block.run)
         self.block, self.own, self.number, self._begins = block, own, number, begins
-        self.owned = (np.arange(len(begins[0][POSITIONS])), _none_of(begins[0])) if begins else (
-            np.empty(0, int), {})
+        arrays = begins[0] if begins else {POSITIONS: np.empty((0, 3))}
+        self.owned: NDArray[np.integer] = np.arange(len(arrays[POSITIONS]))
+        self.none = _none_of(arrays)
 
     @property
     def has_checkpoint(self) -> bool:
@@ -101,31 +103,43 @@ class BlockRun(RunFolder):
         begins, self._begins = self._begins, None
         return begins or super().load_checkpoint(wanted)
 
+    def _exchanges(self, iteration: int) -> bool:
+        """Whether a checkpoint after so many steps is that at the exchange."""
+        return self.number > 0 and iteration >= self.block.exchanges[self.number - 1]
+
+    def saved_rows(self, iteration: int, positions: Callable[[], NDArray[np.floating]]
+                   ) -> NDArray[np.integer] | None:
+        """As in `RunFolder`: at the exchange those that the block owns."""
+        if not self._exchanges(iteration):
+            return None
+        scene, region = self.own.scene.normalised(), self.own.region
+        owned = np.flatnonzero(in_parts(
+            lambda some: region.owns(world_of(scene, some)), positions()))
+        self.owned = owned if len(owned) else np.zeros(1, int)  # a training begins with some
+        return self.owned
+
     def save_checkpoint(self, arrays: Arrays, state: dict[str, Any]) -> None:
         """As in `RunFolder`, but for the checkpoint at the exchange."""
-        if not self.number or state["iteration"] < self.block.exchanges[self.number - 1]:
+        if not self._exchanges(state["iteration"]):
             super().save_checkpoint(arrays, state)
             return
         scene, record = self.own.scene.normalised(), self.block.read()
-        owned = np.flatnonzero(self.own.region.owns(world_of(scene, arrays[POSITIONS])))
-        if not len(owned):
-            owned = np.zeros(1, int)  # a training begins with some gaussian
-        kept = {name: values[owned] if _is_by_gaussian(name) else values
-                for name, values in arrays.items()
+        kept = {name: values for name, values in arrays.items()
                 if name not in REPLACED and not name.startswith(f"{Average.name}.")}
         # a disk takes 1 GB/s of what all blocks write; a short file is noticed, see `_owned`
         with replacing(self.block.exchanged(self.number), synced=False) as file:
             write_npz(file, {**kept, STATE: state_array(with_format({
                 TRAINING: state, "unit": scene.unit, "offset": scene.offset.tolist(),
                 CITY: record[CITY], START: self.block.start()}))})
-        self.owned = owned, _none_of(kept)
+        self.none = _none_of(kept)
         self.remove_checkpoint()
 
     def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = ()
                    ) -> None:
         """As in `RunFolder`, without the surroundings: they are others', and twice as many."""
-        reached = self.own.region.reaches(
-            gaussians.positions.astype(np.float64) + np.asarray(offset))
+        region, place = self.own.region, np.asarray(offset)
+        reached = in_parts(lambda some: region.reaches(some.astype(np.float64) + place),
+                           gaussians.positions)
         super().save_model(selected(gaussians, reached) if reached.any() else gaussians, offset,
                            comments)
 
@@ -183,13 +197,12 @@ def exchange(training: Training, run: BlockRun, others: Sequence[BlockFolder],
         began with them.
     options : of the training.
     """
-    owned, none = run.owned
-    rows = _beyond(none, run.block, run.own, others, options, run.number)
+    rows = _beyond(run.none, run.block, run.own, others, options, run.number)
     by_kind: dict[str, Arrays] = {kind: {} for kind in BY_GAUSSIAN}
     for name, values in rows.items():
         kind, _, field = name.partition(".")
         by_kind.get(kind, {})[field] = values
-    training.session.step.replace_others(owned, *by_kind.values())
+    training.session.step.replace_others(run.owned, *by_kind.values())
 
 
 def _as_trained(own: BlockScene, options: SceneOptions) -> Scene:

@@ -25,7 +25,8 @@ SIDE = SSIM_WINDOW // 2  # of a window, beside its middle
 TILE, STRIP = 16, 128  # pixels: a product smooths so many; rows at a time, which stay in the cache
 # of a monitor 0.7 m wide with 3840 pixels, seen from 0.7 m: the default of Andersson et al. (2020)
 PIXELS_PER_DEGREE = 67.02
-CHUNK_PIXELS = 1 << 12  # ten float64 features of a whole photo would not stay in cache
+# of which features are made together; few calls, as threads that score other views wait for each
+CHUNK_PIXELS = 1 << 14
 EXPORT = "export it from the lpips package with torch.onnx.export"
 
 
@@ -188,9 +189,9 @@ def fit_colour(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> NDArr
     pixels, target = _float64(image).reshape(-1, 3).T.copy(), _float64(photo).reshape(-1, 3)
     kept = slice(None) if valid is None else np.flatnonzero(valid)
     fitting, target = pixels[:, kept], target[kept]
-    gram, moment = np.zeros((10, 10)), np.zeros((10, 3))
+    gram, moment, room = np.zeros((10, 10)), np.zeros((10, 3)), np.ones((10, CHUNK_PIXELS))
     for begin in range(0, len(target), CHUNK_PIXELS):
-        features = _features(fitting[:, begin:begin + CHUNK_PIXELS])
+        features = _features(fitting[:, begin:begin + CHUNK_PIXELS], room)
         gram += features @ features.T
         moment += features @ target[begin:begin + CHUNK_PIXELS]
     # the sums are accurate to about 1e-14 of the largest: smaller singular values are rounding
@@ -198,11 +199,15 @@ def fit_colour(image: ArrayLike, photo: ArrayLike, valid: Valid = None) -> NDArr
     fitted = np.empty(pixels.shape[::-1])
     for begin in range(0, len(fitted), CHUNK_PIXELS):
         end = begin + CHUNK_PIXELS
-        fitted[begin:end] = _features(pixels[:, begin:end]).T @ weights
+        fitted[begin:end] = _features(pixels[:, begin:end], room).T @ weights
     return fitted.clip(0.0, 1.0, out=fitted).reshape(np.shape(image))
 
 
-def _features(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[10, N]: the features of colours [3, N]."""
-    r, g, b = pixels
-    return np.stack([r * r, g * g, b * b, r * g, g * b, b * r, r, g, b, np.ones_like(r)])
+def _features(pixels: NDArray[np.float64], room: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[10, N]: the features of colours [3, N], in an array [10, at least N] whose last row is 1."""
+    features = room[:, :pixels.shape[1]]
+    np.multiply(pixels, pixels, out=features[:3])
+    np.multiply(pixels[:2], pixels[1:], out=features[3:5])
+    np.multiply(pixels[2], pixels[0], out=features[5])
+    features[6:9] = pixels
+    return features

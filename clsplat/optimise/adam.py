@@ -31,7 +31,7 @@ from clsplat.gaussians import LEARNED
 from clsplat.optimise.moments import AS_CODES, AS_REALS
 from clsplat.optimise.options import OptimiseOptions
 from clsplat.optimise.pages import Pages
-from clsplat.primitives.gather import gather
+from clsplat.primitives.gather import download_rows, gather
 from clsplat.rendering.blend import Defines
 from clsplat.rendering.project import FieldGradients, Gradients, paged_defines
 
@@ -312,12 +312,17 @@ class DeviceAdam:
         self.device.launch(CLEAR, self._defines({}, 0), count=len(m), begin=columns.start,
                            end=columns.stop, m=m, v=v)
 
-    def download(self) -> tuple[HostArrays, HostArrays]:
-        """m and v in host memory, by field, each row after its last step."""
-        small = self.STORED.moments(*(each["small"].download() for each in (self._m, self._v)))
-        rest = self.STORED.moments(*(
-            self.pages.download(name) for name in MOMENTS_OF_REST) if self.pages else (
-            each["rest"].download() for each in (self._m, self._v)))
+    def download(self, rows: NDArray[np.integer] | None = None) -> tuple[HostArrays, HostArrays]:
+        """m and v of rows, int[K], or of all if that is None, in host memory, by field, each row
+        after its last step."""
+        def stored(name: str) -> Iterator[NDArray[Any]]:
+            for kind, own in zip(MOMENTS_OF_REST, (self._m, self._v)):
+                if name == "rest" and self.pages:
+                    yield self.pages.download(kind)[slice(None) if rows is None else rows]
+                else:
+                    yield download_rows(self.device, own[name], rows)
+
+        small, rest = (self.STORED.moments(*stored(name)) for name in ("small", "rest"))
         count = len(small[0])
         return tuple({  # type: ignore[return-value]  # two of them
             field.name: others.reshape(count, self.harmonics, 3) if field.name == "sh_rest" else

@@ -90,9 +90,10 @@ class NumpyAdam:
         self.m[name][:] = 0
         self.v[name][:] = 0
 
-    def download(self) -> tuple[HostArrays, HostArrays]:
+    def download(self, rows: NDArray[np.integer] | None = None) -> tuple[HostArrays, HostArrays]:
         """As `DeviceAdam.download`."""
-        m, v = ({name: array.copy() for name, array in moments.items()}
+        chosen = slice(None) if rows is None else rows
+        m, v = ({name: array[chosen].copy() for name, array in moments.items()}
                 for moments in (self.m, self.v))
         return m, v
 

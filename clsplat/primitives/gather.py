@@ -1,11 +1,15 @@
 """Rows by index (cl/gather.cl)."""
 
 import math
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.device import Array, Device, Either, Kernel, each
 from clsplat.device.kernel import Defines
+
+CHUNK_ROWS = 1 << 18  # that are copied to the host together
 
 GATHER = Kernel("gather.cl", "gather", each("count width"), count="uint", width="uint",
                 indices=("uint", "N"),
@@ -56,3 +60,15 @@ def gather(device: Device, rows: Array, indices: Array, result: Array | None = N
         device.launch(GATHER, defines, count=count, width=source.shape[1], indices=indices,
                       rows=source, result=target)
     return result
+
+
+def download_rows(device: Device, array: Array, rows: NDArray[np.integer] | None) -> NDArray[Any]:
+    """Copy rows, int[K], or all if that is None, to the host; CHUNK_ROWS of them at a time, as the
+    device may have no room for more."""
+    if rows is None:
+        return array.download()
+    host = np.empty((len(rows), *array.shape[1:]), array.dtype)
+    for first in range(0, len(rows), CHUNK_ROWS):
+        chosen = device.upload(rows[first:first + CHUNK_ROWS].astype(np.uint32))
+        host[first:first + CHUNK_ROWS] = gather(device, array, chosen).download()
+    return host

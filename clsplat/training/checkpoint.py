@@ -13,6 +13,7 @@ from clsplat.gaussians import FIELDS, LEARNED, Field, Gaussians
 from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
 from clsplat.options import TrainOptions
+from clsplat.primitives.gather import download_rows
 from clsplat.training.budget import Deadline
 from clsplat.training.model import checkpoint_bytes
 from clsplat.training.recorder import Clock, broken
@@ -37,13 +38,14 @@ class Checkpoint:
         self.deadline, self.fingerprint = deadline, fingerprint
 
     def taken(self) -> Saved:
-        """The arrays and the state, while the clock is paused; InputError where a value is not
-        finite."""
+        """The arrays, with the rows that the run saves, and the state, while the clock is paused;
+        InputError where a value is not finite."""
         session, step = self.session, self.session.step
-        m, v = step.model.adam.download()
-        kinds = {"row": step.model.download(stored=True).rows, "m": m, "v": v,
-                 "adam": step.model.adam.lag(),
-                 "statistics": {name: getattr(step.statistics, name).download()
+        model, statistics = step.model, step.statistics
+        rows = self.run.saved_rows(session.iteration, lambda: model.field("positions"))
+        m, v = model.adam.download(rows)
+        kinds = {"row": model.stored(rows), "m": m, "v": v, "adam": model.adam.lag(),
+                 "statistics": {name: download_rows(session.device, getattr(statistics, name), rows)
                                 for name in STATISTICS},
                  **{part.name: part.state() for part in session.parts}}
         arrays = {f"{kind}.{name}": values for kind, fields in kinds.items()
@@ -68,10 +70,9 @@ class Checkpoint:
         previous one is kept."""
         self.run.save_checkpoint(*self.taken())
 
-    def check_model(self) -> None:
+    def check_model(self, gaussians: Gaussians) -> None:
         """Raise InputError where a value of the gaussians is not finite."""
-        self._check({f"row.{name}": values for name, values in
-                     self.session.step.model.download(stored=True).rows.items()})
+        self._check({f"row.{name}": values for name, values in gaussians.rows.items()})
 
     def remove(self) -> None:
         """Remove the checkpoint of a finished run that nobody resumes."""

@@ -341,8 +341,9 @@ class Training:
         """Write the model of a finished stage, and remove its checkpoint."""
         with self.clock.paused():
             self.recorder.check(self._measured)
-            self.checkpoint.check_model()
-            self.run.save_model(*self._finished_model())
+            model = self._finished_model()
+            self.checkpoint.check_model(model[0])
+            self.run.save_model(*model)
             self.recorder.log("end")  # a block has no evaluation that tells its steps
             self.checkpoint.remove()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,7 +21,7 @@ from clsplat.optimise.page_store import PageStore
 from clsplat.optimise.pages import Pages
 from clsplat.options import ScheduledOptions
 from clsplat.primitives.compact import compact, new_counts
-from clsplat.primitives.gather import gather, scatter
+from clsplat.primitives.gather import CHUNK_ROWS, download_rows, gather, scatter
 from clsplat.primitives.reduce import add_to
 from clsplat.rendering.pipeline import Frame, Renderer
 
@@ -32,7 +31,6 @@ DEVICE_SHARE = 1 / 3
 # of the device's memory that pages leave free: for frames, and once frames have theirs
 FRAME_SHARE, SPARE_SHARE = 0.2, 0.03
 GIVEN_SHARE = 0.04  # of the device's memory that pages give back at a time
-CHUNK_ROWS = 1 << 18  # that are copied to the host together
 FORESEEN = 64  # samples, of which it is known which pages they want
 FORESEEN_AT_ONCE = 4  # new ones of them in a step
 MARGIN = 1.0  # pixels beside an image of which pages are wanted, too
@@ -150,14 +148,13 @@ class Model:
                 scatter(self.device, array, self.device.upload(index), found[name])
         return found
 
-    def download(self, stored: bool = False) -> Gaussians:
-        """Copy the rows to the host, as they are after the last step, or for a checkpoint as they
-        are stored."""
-        return self.within(partial(self._download, stored))
+    def download(self) -> Gaussians:
+        """Copy the rows to the host, as they are after the last step."""
+        return self.within(self._download)
 
-    def _download(self, stored: bool) -> Gaussians:
-        rows = {name: self.field(name) for name in (*self._arrays, "sh_rest")}
-        if not (stored or isinstance(self.adam, NumpyAdam) or self.adam.is_current):
+    def _download(self) -> Gaussians:
+        rows = self.stored()
+        if not (isinstance(self.adam, NumpyAdam) or self.adam.is_current):
             for chosen in self._chunks():
                 current = self.adam.current(self.learned, self.device.upload(chosen), self.frozen)
                 for name, array in current.items():
@@ -174,11 +171,15 @@ class Model:
         for first in range(0, self.count, CHUNK_ROWS):
             yield np.arange(first, min(first + CHUNK_ROWS, self.count), dtype=np.uint32)
 
-    def field(self, name: str) -> NDArray[Any]:
-        """A field of all rows, as it is stored."""
+    def stored(self, rows: NDArray[np.integer] | None = None) -> dict[str, NDArray[Any]]:
+        """Copy rows, int[K], or all if that is None, to the host as they are stored, by field."""
+        return {name: self.field(name, rows) for name in (*self._arrays, "sh_rest")}
+
+    def field(self, name: str, rows: NDArray[np.integer] | None = None) -> NDArray[Any]:
+        """A field of rows, int[K], or of all if that is None, as it is stored."""
         if name == "sh_rest" and self.pages:
-            return self.pages.download(name)
-        return self._arrays[name].download()
+            return self.pages.download(name)[slice(None) if rows is None else rows]
+        return download_rows(self.device, self._arrays[name], rows)
 
     def add_to(self, name: str, total: Array | NDArray[Any] | None) -> Array | NDArray[Any]:
         """Add a field to a sum of earlier ones, on the device, or on the host if harmonics are

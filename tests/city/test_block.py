@@ -11,10 +11,13 @@ from scipy.spatial import cKDTree
 from clsplat.cities import block as training_block
 from clsplat.cities.block import decided_by, options_of_blocks
 from clsplat.cities.scene import BlockScene
+from clsplat.cities.workers import Workers
 from clsplat.densify import round as growth
+from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.ply import read_ply, write_ply
-from clsplat.io.runs.city import BlockFolder, CityFolder
+from clsplat.io.records import write_object
+from clsplat.io.runs.city import EXCHANGES, OTHERS, BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder, read_exposures
 from clsplat.io.scenes.read import fingerprint
 from clsplat.options import resolve
@@ -306,3 +309,48 @@ def test_what_rests_is_taken_up_only_as_it_was_left(tmp_path, monkeypatch, chang
     found = training_block._taken_up(asked, None if change == "another device" else device)
     assert (found is rests) is (change == "") and closed == [1] * bool(change)
     assert not training_block._resting and training_block._taken_up(block, device) is None
+
+
+@pytest.mark.parametrize("fill", [False, True])
+def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
+        tmp_path, monkeypatch, fill):
+    """Blocks 0, 1, 2 in a row, where the second part of block 1 fails."""
+    found = {n: BlockFolder(tmp_path / f"00{n}") for n in range(4)}
+    for n, others in ((0, [1]), (1, [0, 2]), (2, [1]), (3, [2])):
+        found[n].path.mkdir()
+        write_object(found[n].path / "block.json", {
+            "number": n, "city": "c", "partition": "p", "options": {"device": "gpu"},
+            EXCHANGES: [100, 200], OTHERS: others})
+    stages = []
+    city = SimpleNamespace(blocks=found.values, block=found.__getitem__, add_stage=stages.append)
+    monkeypatch.setattr(training_block, "_expected_work", lambda block: 1)
+    ran = []
+
+    def train(job):
+        ran.append(job.name)
+        if job.name == "001, stage 2 of 3":
+            raise InputError("no such photo")
+        assert job.alone == (len(ran) > 9) and job.device == "gpu"
+        assert f"stage {job.until or 3} of 3" in job.name or job.alone
+        job.done.touch()
+
+    engine = Workers.run
+    monkeypatch.setattr(Workers, "run", lambda workers, jobs, here, *rest: engine(
+        workers, jobs, train, *rest))
+    outcomes = {outcome.job.block.path.name: outcome
+                for outcome in training_block.train_blocks(city, Workers(), None, fill=fill)}
+    firsts = [f"00{n}, stage 1 of 3" for n in range(4)]
+    seconds = [f"00{n}, stage 2 of 3" for n in range(4)]
+    last = "003, stage 3 of 3"  # needs the second parts of 2 and 3 only
+    assert ran[:9] == [*firsts, *seconds, last]
+    assert ran[9:] == (["000", "002"] if fill else [])
+    assert [stage.name.removesuffix(", failed") for stage in stages] == ran
+    assert [stage.name for stage in stages if "failed" in stage.name] == [
+        "001, stage 2 of 3, failed"] and stages[0].worker == "this machine"
+    assert {name: outcome.ok for name, outcome in outcomes.items()} == {
+        "000": True, "001": False, "002": True, "003": True}
+    assert str(outcomes["001"].error) == "no such photo"
+    monkeypatch.setattr(Workers, "run", lambda workers, jobs, here, *rest: engine(
+        workers, jobs, lambda job: job.done.touch(), *rest))
+    assert all(outcome.ok for outcome in training_block.train_blocks(city, Workers(), None))
+    assert all((block.run / "point_cloud.ply").exists() for block in found.values())

@@ -9,6 +9,7 @@ from clsplat.densify.grow import Growth
 from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
 from clsplat.loss.exposure import Exposures
 from clsplat.options import TrainOptions
+from clsplat.primitives import gather
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.plan import Plan, SceneFacts
@@ -77,6 +78,18 @@ def test_rows_and_moments_follow_growth(float_device, engine, fields, source, ke
         for name in before:
             assert np.array_equal(values[name][:kept], before[name][source[:kept]]), name
             assert not values[name][kept:].any(), name
+
+
+@ENGINES
+def test_chosen_rows_and_their_moments_are_those_of_all(float_device, engine, monkeypatch):
+    """In several parts, and none."""
+    monkeypatch.setattr(gather, "CHUNK_ROWS", 2)
+    model, given, m, v = with_moments(float_device, engine, 7, FIELDS)
+    for rows in (np.array([0, 3, 4, 6, 2]), np.arange(0)):
+        for name, values in model.stored(rows).items():
+            assert np.array_equal(values, given.rows[name][rows]), name
+        for values, before in zip(model.adam.download(rows), (m, v)):
+            assert all(np.array_equal(values[name], before[name][rows]) for name in before)
 
 
 @ENGINES

@@ -228,6 +228,12 @@ class RunFolder:
         """Whether the run has a checkpoint."""
         return (self.path / CHECKPOINT).is_file()
 
+    def saved_rows(self, iteration: int, positions: Callable[[], NDArray[np.floating]]
+                   ) -> NDArray[np.integer] | None:
+        """Which rows, int[K], a checkpoint after so many steps has; None: all. `positions` returns
+        those of all rows, [N, 3]."""
+        return None
+
     def save_checkpoint(self, arrays: dict[str, np.ndarray], state: dict[str, Any]) -> None:
         """Replace the checkpoint by arrays and a state for JSON; if this fails, such as on a full
         disk, the previous checkpoint stays."""
