@@ -92,7 +92,7 @@ def test_present_sizes_that_fail_are_an_error(item_device, one_other):
         tried(item_device, broken)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_tuning_of_a_real_scene_is_read_back(one_other, monkeypatch, tmp_path):
     monkeypatch.setattr(tune.Trial, "faster", property(lambda trial: bool(trial.old_ms)))
     path = tmp_path / "tuning.json"

@@ -177,7 +177,7 @@ def trained(tmp_path_factory):
     return city(tmp_path_factory.mktemp("joint") / "city", "--joint-steps", "0.5", "--workers", "2")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     run, joint = RunFolder(trained.path), RunFolder(trained.joint)
     offset, scene, record = np.array(run.read_options()["offset"]), read_scene(CITY), (
@@ -208,7 +208,7 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
                    for record in RunFolder(part).records())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_stopped_joint_training_goes_on(trained, tmp_path, monkeypatch):
     shutil.copytree(trained.path, tmp_path / "city", symlinks=True)
     copy = CityFolder(tmp_path / "city")

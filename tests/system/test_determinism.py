@@ -48,7 +48,7 @@ def digest(folder, scene, used, **changes):
     return model_digest(run)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_many_steps(float_device, city, tmp_path, monkeypatch):
     """In smaller parts and in bands, and in larger parts."""
     first = digest(tmp_path / "first", city, float_device, **SHORT)

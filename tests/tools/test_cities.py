@@ -14,7 +14,7 @@ TINY = ["--streets", "1", "2", "--size", "64x48", "--seeds", "1", "--no-compared
 FLAGS = ["--", "--device", "cpu", "--init", "sfm", "--sh-degree", "0"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_command_makes_the_tables_and_repeats_nothing(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(cities, "STEPS_A_STREET", 10)
     words = [str(tmp_path), f"{CITY}:8", *TINY, *FLAGS, "-n", "20"]

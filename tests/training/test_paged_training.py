@@ -99,7 +99,7 @@ def check_same(one, other):
 
 
 @pytest.mark.parametrize("engine, batch", [
-    ("device", 1), ("coded", 1), pytest.param("device", 2, marks=pytest.mark.slow)])
+    ("device", 1), ("coded", 1), pytest.param("device", 2, marks=pytest.mark.nightly)])
 def test_bytes_do_not_depend_on_the_room(float_device, monkeypatch, engine, batch):
     """Over steps without harmonics, rounds of catching up, growth, and looks at the model."""
     results, images, made_anew = [], [], []
