@@ -63,7 +63,7 @@ WALLS = {
     "pyopencl": ("clsplat/device/",),
     "pycolmap": ("clsplat/io/", "clsplat/sfm/", "tools/studies/"),
     "rasterio": ("clsplat/apps/geotiff.py", "tools/"),
-    **dict.fromkeys(("laspy", "lazrs", "zstandard"), ("clsplat/io/",)),
+    **dict.fromkeys(("laspy", "lazrs", "pxr", "zstandard"), ("clsplat/io/",)),
     "pyproj": ("clsplat/io/georeference/crs.py",),
     "OpenImageIO": ("clsplat/io/", "clsplat/evaluation/metrics.py"),
     "onnxruntime": ("clsplat/evaluation/metrics.py",),
@@ -76,8 +76,8 @@ WALLS = {
 
 # imports inside functions: folder -> packages (None: any). Start-up is worth it in these only
 FUNCTION_IMPORTS = {"clsplat/": {"importlib"}, "clsplat/cli/": None, "clsplat/__main__.py": None,
-                    "clsplat/io/": {"laspy", "lazrs", "numpy", "pycolmap", "OpenImageIO", "pyproj",
-                                    "zstandard"},
+                    "clsplat/io/": {"laspy", "lazrs", "numpy", "pxr", "pycolmap", "OpenImageIO",
+                                    "pyproj", "zstandard"},
                     "clsplat/evaluation/": {"OpenImageIO", "onnxruntime"},
                     "clsplat/cities/cluster.py": {"distributed"}}  # an extra, seldom asked for
 

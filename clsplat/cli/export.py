@@ -12,8 +12,9 @@ from clsplat.errors import InputError
 @click.command()
 @click.argument("run", type=PATH)
 @click.option("-o", "--output", required=True, type=PATH, help="File to write; its suffix selects "
-              "the format: .ply, .sog, .spz, .glb, points as .las or .laz, or .html, a page for "
-              "the browser. Without a suffix: a folder of 3D Tiles with levels of detail.")
+              "the format: .ply, .sog, .spz, .glb, OpenUSD as .usdz, .usdc or .usda, points as "
+              ".las or .laz, or .html, a page for the browser. Without a suffix: a folder of 3D "
+              "Tiles with levels of detail.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--upright", is_flag=True, help="Turn the model so that up is -y, as most viewers "
               "expect. It then no longer fits the scene's cameras.")

@@ -15,6 +15,7 @@ from clsplat.io.models.ply import gaussians_of, read_vertices, write_ply
 from clsplat.io.models.points import cloud, is_cloud, ply_points, read_las, write_las
 from clsplat.io.models.sog import META, read_sog, write_sog
 from clsplat.io.models.spz import read_spz, write_spz
+from clsplat.io.models.usd import write_usd
 from clsplat.io.models.values import Notes
 
 
@@ -27,12 +28,12 @@ def _read_ply(path: Path, offset: NDArray[np.float64] | None) -> tuple[Gaussians
 
 
 class Format(NamedTuple):
-    """A format of models: what it is and its functions; points have map coordinates in files of a
-    georeferenced scene, and no harmonics."""
+    """A format of models: what it is and its functions, of which one that is not read lacks the
+    first; points have map coordinates in files of a georeferenced scene, and no harmonics."""
 
     what: str
     # called with a path, an offset, and for points with the CRS of the scene
-    read: Callable[..., tuple[Gaussians, Notes]]
+    read: Callable[..., tuple[Gaussians, Notes]] | None
     write: Callable[[Path, Gaussians, Notes], None]
     is_points: bool = False
 
@@ -44,10 +45,12 @@ FORMATS = {
     ".sog": Format("the format of PlayCanvas, the smallest", read_sog, write_sog),
     ".spz": Format("the format of Niantic, small", read_spz, write_spz),
     ".glb": Format("glTF with KHR_gaussian_splatting", read_glb, write_glb),
+    **{suffix: Format(f"OpenUSD, {what}, which is not read", None, write_usd) for suffix, what in (
+        (".usdz", "packed"), (".usdc", "binary"), (".usda", "text"))},
     ".laz": Format("points for maps, compressed", read_las, write_las, is_points=True),
     ".las": Format("points for maps", read_las, write_las, is_points=True),
 }
-SUFFIXES = tuple(FORMATS)
+SUFFIXES = tuple(suffix for suffix, kind in FORMATS.items() if kind.read)
 
 
 def read_model(path: str | Path, offset: ArrayLike | None = None,
@@ -75,13 +78,14 @@ def read_with_notes(path: str | Path, offset: ArrayLike | None = None,
     ------
     InputError : the suffix is unknown, or the file is missing, damaged or of another format.
     """
-    path, kind = Path(path), format_of(path)
+    path = Path(path)
+    kind, read = _readable(path)
     local = None if offset is None else np.asarray(offset, np.float64)
     if kind.is_points and georeference is not None:
         origin = np.asarray(georeference.offset, np.float64)
-        found, notes = kind.read(path, None if local is None else origin + local, georeference.crs)
+        found, notes = read(path, None if local is None else origin + local, georeference.crs)
         return found.located(found.offset - origin), notes
-    return kind.read(path, local)
+    return read(path, local)
 
 
 def count_of(path: str | Path) -> int:
@@ -89,10 +93,19 @@ def count_of(path: str | Path) -> int:
 
     Of a PLY only the header is read, unless its rows are text.
     """
-    path, kind = Path(path), format_of(path)
-    if kind.read is _read_ply:
+    path = Path(path)
+    _, read = _readable(path)
+    if read is _read_ply:
         return int(read_vertices(path)[0].count)
-    return kind.read(path, None)[0].count
+    return read(path, None)[0].count
+
+
+def _readable(path: Path) -> tuple[Format, Callable[..., tuple[Gaussians, Notes]]]:
+    """The format of a file and what reads it; InputError for one that is only written."""
+    kind = format_of(path)
+    if kind.read is None:
+        raise InputError(f"{path}: {kind.what}; give the model as {', '.join(SUFFIXES)}")
+    return kind, kind.read
 
 
 def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] = (),
