@@ -44,14 +44,29 @@ ptxas info    : Used 20 registers, used 0 barriers, 504 bytes cmem[0]
 """
 
 
-def token(number, *words):
-    text = b"".join(word.to_bytes(4, "little") for word in words).hex(" ")
-    return f"Unidentified PatchToken:\n\t4 Token {number}\n\t4 Size 28\n\tHex {text}\n"
-
-
-INTEL = ("Kernel #0\nKernelBinaryHeader:\n\t4 KernelNameSize 8\n\tKernelName sweep\n"
-         + token(23, 256, 1, 1, 16, *16 * [0], 128) + token(15, 0, 1024)
-         + token(18, 0, 2048) + token(38, 64, 40, 8, 204, 1))
+INTEL = """---
+version:         '1.73'
+kernels:
+  - name:            blend
+    execution_env:
+      grf_count:       128
+      simd_size:       32
+      slm_size:        12832
+    payload_arguments:
+      - arg_type:        arg_bypointer
+        size:            8
+  - name:            sweep
+    execution_env:
+      grf_count:       256
+      simd_size:       16
+      private_size:    3264
+      spill_size:      2048
+    per_thread_memory_buffers:
+      - type:            scratch
+        size:            8192
+kernels_misc_info:
+  - name:            blend
+"""
 
 
 def test_what_clang_says_for_amd():
@@ -78,10 +93,9 @@ def test_waves_of_nvidia(target, registers, local, group, waves):
     assert nvidia_waves(target, registers, local, group) == waves
 
 
-@pytest.mark.parametrize("private_apart, spills", [(True, 128), (False, 0)])
-def test_what_ocloc_says(private_apart, spills):
-    assert parse_intel(INTEL, private_apart) == [
-        Usage("sweep", 128, 0, spills, 0, 128 + 204, 1024, 16)]
+def test_what_ocloc_says():
+    assert parse_intel(INTEL) == [Usage("blend", 128, local=12832, waves=32),
+                                  Usage("sweep", 256, 0, 128, 0, 128 + 204, 0, 16)]
 
 
 def test_sizes_are_those_of_the_target_s_wave():
@@ -91,7 +105,8 @@ def test_sizes_are_those_of_the_target_s_wave():
 
 def test_a_missing_compiler_is_named_with_its_package(monkeypatch):
     monkeypatch.setattr("tools.offline.compilers.found", lambda need: None)
-    assert "ocloc: install Debian's intel-opencl-icd" in missing([TARGETS["tgllp"]])
+    assert "ocloc: install intel-ocloc of Debian testing, as .ci/nightly does" in missing(
+        [TARGETS["tgllp"]])
     with pytest.raises(InputError, match="ptxas: install PyPI's nvidia-cuda-nvcc-cu12"):
         offline.main(["sm_70", "--check"])
     with pytest.raises(InputError, match="sm_7: not a target; use gfx90a, "):

@@ -34,8 +34,8 @@ REGISTERS = "Registers and waves"
 MEMORY = "Scalar spills, scratch and local memory"
 NOTES = {
     REGISTERS: "Vector registers of a lane / waves, and in brackets vector registers that were "
-    "spilled (of acm-g10 and sm, bytes of a lane; tgllp does not say). Waves are those that run at "
-    "a time on a SIMD (gfx), or warps on a multiprocessor (sm); of Intel, tgllp and acm-g10, they "
+    "spilled (of sm and of Intel, bytes of a lane). Waves are those that run at a time on a SIMD "
+    "(gfx), or warps on a multiprocessor (sm); of Intel, which has tgllp, acm-g10 and bmg, they "
     "are lanes of a thread, which the compiler makes fewer where its 128 registers do not suffice. "
     "Of several builds of a kernel, the worst of each number. All programs are also SPIR-V that "
     "spirv-val finds valid, in both forms.",

@@ -38,7 +38,8 @@ CUDA = {"ptxas": "bin/ptxas", "libdevice": "nvvm/libdevice/libdevice.10.bc"}  # 
 PACKAGES: dict[str | Path, str] = {  # what a target needs -> the package that has it
     CLANG: "Debian's clang-22", OLDER_CLANG: "Debian's clang-15",
     TRANSLATOR: "Debian's llvm-spirv-15", "spirv-val": "Debian's spirv-tools",
-    "ocloc": "Debian's intel-opencl-icd", **dict.fromkeys(CUDA, "PyPI's nvidia-cuda-nvcc-cu12"),
+    "ocloc": "intel-ocloc of Debian testing, as .ci/nightly does",
+    **dict.fromkeys(CUDA, "PyPI's nvidia-cuda-nvcc-cu12"),
     AMD_LIBRARY: "Debian's libclc-22", NVIDIA_LIBRARY: "Debian's libclc-22",
     DEVICE_LIBRARIES: "Debian's rocm-device-libs"}
 # KiB of local memory of a multiprocessor, and what each group takes of it besides its own
@@ -230,29 +231,21 @@ def intel(target: Target, source: Path, options: Sequence[str], groups: Mapping[
     output_of("ocloc", "compile", "-file", source, "-device", target.name, "-out_dir", folder,
               "-output", "intel", "-options", " ".join(options))
     binary = next(folder.glob("intel_*.bin"))
-    output_of("ocloc", "disasm", "-file", binary, "-dump", folder / "dump")
-    return parse_intel((folder / "dump" / "PTM.txt").read_text(encoding="utf-8"),
-                       private_apart=target.name == "acm-g10")
+    output_of("ocloc", "disasm", "-file", binary, "-dump", folder / "dump", "-device", target.name)
+    return parse_intel((folder / "dump" / ".ze_info").read_text(encoding="utf-8"))
 
 
-def parse_intel(text: str, private_apart: bool) -> list[Usage]:
-    """The tokens of a binary, whose numbers are those of IGC's patch_list.h; whether private arrays
-    have memory apart from that of spills."""
+def parse_intel(text: str) -> list[Usage]:
+    """The section .ze_info of a binary, whose sizes are bytes of a thread."""
     usages = []
-    for part in text.split("KernelBinaryHeader:")[1:]:
-        name = re.search(r"KernelName (\S+)", part)
-        tokens: dict[int, list[int]] = defaultdict(lambda: [0] * 4)
-        for token, numbers in re.findall(r"Token (\d+)\s+4 Size \d+\s+Hex ([0-9a-f ]*)", part):
-            raw = bytes(int(byte, 16) for byte in numbers.split())
-            tokens[int(token)] = [int.from_bytes(raw[at:at + 4], "little")
-                                  for at in range(0, len(raw), 4)]
-        environment, lanes = tokens[23], tokens[23][3]
-        # a thread's memory: on Arc of spills alone, on Gen12 of private arrays, too
-        spilled, private = tokens[18][1] // lanes, tokens[38][3]
+    for part in text.partition("kernels_misc_info:")[0].split("\n  - name:")[1:]:
+        number = defaultdict(int, {name: int(value) for name, value in re.findall(
+            r"(?m)^      (\w+): +(\d+)$", part)})
+        lanes = number["simd_size"]
+        spilled, private = number["spill_size"] // lanes, number["private_size"] // lanes
         usages.append(Usage(
-            name[1] if name else "?", vector=environment[20], waves=lanes,
-            vector_spills=spilled if private_apart else 0,
-            scratch=spilled + private, local=tokens[15][1]))
+            part.split()[0], vector=number["grf_count"], waves=lanes, vector_spills=spilled,
+            scratch=spilled + private, local=number["slm_size"]))
     return usages
 
 
@@ -272,7 +265,7 @@ TARGETS = {target.name: target for target in (
       for name in ("gfx90a", "gfx942")),
     Target("gfx1030", "group", 32, (CLANG, DEVICE_LIBRARIES), amd),
     *(Target(name, "group", 32, (CLANG, AMD_LIBRARY), amd) for name in ("gfx1100", "gfx1201")),
-    *(Target(name, "group", 32, ("ocloc",), intel) for name in ("tgllp", "acm-g10")),
+    *(Target(name, "group", 32, ("ocloc",), intel) for name in ("tgllp", "acm-g10", "bmg")),
     # older packages of libclc have NVIDIA's library as well, but not AMD's of this name
     *(Target(name, "group", 32, (CLANG, AMD_LIBRARY, NVIDIA_LIBRARY, *CUDA), nvidia)
       for name in NVIDIA_LOCAL),
