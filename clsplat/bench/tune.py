@@ -29,24 +29,18 @@ Turn = Callable[[], float]  # takes some steps, and returns the milliseconds of 
 
 @dataclass(frozen=True)
 class Trial:
-    """Steps with old and new sizes, by turns.
+    """Steps with old and new sizes, by turns."""
 
-    Attributes
-    ----------
-    name : the size that is another one, or ALL.
-    old, new : all sizes, as of `clsplat.device.tuning.tuning_of`.
-    old_ms, new_ms : medians of a step.
-    quartiles : lower, median and upper one of new / old, turn by turn.
-    failure : what the driver raised with the new sizes, or "".
-    """
-
-    name: str
+    name: str  # the size that is another one, or ALL
+    # old, new: all sizes, as of `clsplat.device.tuning.tuning_of`
     old: dict[str, int]
     new: dict[str, int]
+    # old_ms, new_ms: medians of a step
     old_ms: float = 0.0
     new_ms: float = 0.0
+    # lower, median and upper one of new / old, turn by turn
     quartiles: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    failure: str = ""
+    failure: str = ""  # what the driver raised with the new sizes, or ""
 
     @property
     def faster(self) -> bool:

@@ -35,24 +35,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """How a round of growth makes M new rows from N old ones.
+    """How a round of growth makes M new rows from N old ones."""
 
-    Attributes
-    ----------
-    source : uint32[M], the old row of each new row: first the rows that stay, then clones, then the
-        children of splits; or after those that stay all that share in a relocation.
-    kept : how many rows stay, with their moments.
-    cloned : how many rows are cloned.
-    split : how many rows are replaced by their children.
-    pruned : how many rows are removed without children.
-    changes : field name -> (first new row, values), where new rows differ from their source.
-    """
-
+    # uint32[M], the old row of each new row: first the rows that stay, then clones, then the
+    # children of splits; or after those that stay all that share in a relocation
     source: NDArray[np.uint32]
-    kept: int
-    cloned: int
-    split: int
-    pruned: int
+    kept: int  # how many rows stay, with their moments
+    cloned: int  # how many rows are cloned
+    split: int  # how many rows are replaced by their children
+    pruned: int  # how many rows are removed without children
+    # field name -> (first new row, values), where new rows differ from their source
     changes: dict[str, tuple[int, NDArray[np.float32]]]
 
     @property

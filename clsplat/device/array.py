@@ -19,16 +19,10 @@ MOST_SPARE = 2  # sizes of an array that a block may have which it uses again
 
 
 class ArraySpec(NamedTuple):
-    """An array that its owner allocates, and that estimates of memory count.
+    """An array that its owner allocates, and that estimates of memory count."""
 
-    Attributes
-    ----------
-    shape : the first axis counts the rows.
-    dtype : None is the real type of the device.
-    """
-
-    shape: tuple[int, ...]
-    dtype: DTypeLike | None = None
+    shape: tuple[int, ...]  # the first axis counts the rows
+    dtype: DTypeLike | None = None  # None is the real type of the device
 
     def nbytes(self, real: np.dtype[Any]) -> int:
         """Bytes on a device whose real type is `real`."""

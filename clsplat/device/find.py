@@ -19,26 +19,16 @@ NO_DEVICE = (
 
 @dataclass
 class ListedDevice:
-    """A device that a platform lists, and the result of its test.
+    """A device that a platform lists, and the result of its test."""
 
-    Attributes
-    ----------
-    index : its number, as --device takes it.
-    handle : pyopencl's device; None for a platform without devices.
-    type : "gpu", "cpu", "accelerator", or "-" for a platform without devices.
-    reason : why it does not work; empty if it does.
-    capabilities : its sizes and optional features.
-    chosen : whether "auto" means this device.
-    """
-
-    index: int
+    index: int  # its number, as --device takes it
     platform: str
     name: str
-    type: str
-    handle: Any
-    reason: str = ""
-    capabilities: dict[str, Any] = field(default_factory=dict)
-    chosen: bool = False
+    type: str  # "gpu", "cpu", "accelerator", or "-" for a platform without devices
+    handle: Any  # pyopencl's device; None for a platform without devices
+    reason: str = ""  # why it does not work; empty if it does
+    capabilities: dict[str, Any] = field(default_factory=dict)  # its sizes and optional features
+    chosen: bool = False  # whether "auto" means this device
 
     @property
     def works(self) -> bool:

@@ -34,31 +34,18 @@ DEVICE_SIZES = {  # name -> attribute of Device
 
 
 class Only(NamedTuple):
-    """An argument that a kernel has only in builds in which a constant is not 0.
+    """An argument that a kernel has only in builds in which a constant is not 0."""
 
-    Attributes
-    ----------
-    define : the name of the constant.
-    argument : as for `Kernel`.
-    """
-
-    define: str
-    argument: str | tuple[Any, ...]
+    define: str  # the name of the constant
+    argument: str | tuple[Any, ...]  # as for `Kernel`
 
 
 class Either(NamedTuple):
-    """An argument that has another type in builds in which a constant is not 0.
+    """An argument that has another type in builds in which a constant is not 0."""
 
-    Attributes
-    ----------
-    define : the name of the constant.
-    argument : as for `Kernel`, where it is not 0.
-    otherwise : where it is.
-    """
-
-    define: str
-    argument: str | tuple[Any, ...]
-    otherwise: str | tuple[Any, ...]
+    define: str  # the name of the constant
+    argument: str | tuple[Any, ...]  # as for `Kernel`, where it is not 0
+    otherwise: str | tuple[Any, ...]  # where it is
 
     def of(self, choices: Collection[str]) -> Argument:
         """The argument of builds in which these constants are not 0."""
@@ -66,16 +53,10 @@ class Either(NamedTuple):
 
 
 class Forms(NamedTuple):
-    """A value for each of the two forms of kernels.
+    """A value for each of the two forms of kernels."""
 
-    Attributes
-    ----------
-    item : of the form in which a work-item owns a tile, a chunk or a row (CPUs).
-    group : of the form in which a work-group does (GPUs).
-    """
-
-    item: Any
-    group: Any
+    item: Any  # of the form in which a work-item owns a tile, a chunk or a row (CPUs)
+    group: Any  # of the form in which a work-group does (GPUs)
 
     def of(self, device: Device) -> Any:
         """The value for the form in which the device is open."""
@@ -84,19 +65,12 @@ class Forms(NamedTuple):
 
 @dataclass(frozen=True)
 class Launch:
-    """How one form of a kernel is launched, created by `each`, `items` or `groups`.
+    """How one form of a kernel is launched, created by `each`, `items` or `groups`."""
 
-    Attributes
-    ----------
-    kind : "each", "items" or "groups".
-    units : the number of elements, work-items or groups.
-    group : work-items a group.
-    arguments : further arguments that only this form has.
-    """
-
-    kind: str
-    units: str
-    group: str = ""
+    kind: str  # "each", "items" or "groups"
+    units: str  # the number of elements, work-items or groups
+    group: str = ""  # work-items a group
+    # further arguments that only this form has
     arguments: dict[str, Argument | Only | Either] = field(default_factory=dict)
 
 

@@ -48,47 +48,29 @@ DENSE_A_PIXEL = 1.6  # points, of the photos as they are searched for them: 1.4 
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes of device memory.
+    """Bytes of device memory."""
 
-    Attributes
-    ----------
-    total : the most, while the model grows.
-    steps : the most after a step, which metrics.jsonl records.
-    photos : photos of the level with most, which are part of it.
-    resident : whether photos stay on the device at every level.
-    model : parameters and moments at the end.
-    waits : harmonics and their moments, in host memory and not on the device where all do not fit;
-        0: all fit.
-    """
-
-    total: int
-    steps: int
-    photos: int
-    resident: bool
-    model: int
+    total: int  # the most, while the model grows
+    steps: int  # the most after a step, which metrics.jsonl records
+    photos: int  # photos of the level with most, which are part of it
+    resident: bool  # whether photos stay on the device at every level
+    model: int  # parameters and moments at the end
+    # harmonics and their moments, in host memory and not on the device where all do not fit; 0: all
+    # fit
     waits: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """The predicted course of a training.
+    """The predicted course of a training."""
 
-    Attributes
-    ----------
-    steps : length of the run.
-    gaussians : largest number of gaussians.
-    memory : device memory.
-    seconds : time of training.
-    ends : (level, gaussians, seconds per step) at the beginning and at the end of the run.
-    photos : a sentence about whether photos stay on the device.
-    """
-
-    steps: int
-    gaussians: int
-    memory: Memory
-    seconds: float
+    steps: int  # length of the run
+    gaussians: int  # largest number of gaussians
+    memory: Memory  # device memory
+    seconds: float  # time of training
+    # (level, gaussians, seconds per step) at the beginning and at the end of the run
     ends: list[tuple[float, int, float]]
-    photos: str
+    photos: str  # a sentence about whether photos stay on the device
 
 
 def forecast(prepared: PreparedScene, device: Device, progress: SilentProgress | None = None

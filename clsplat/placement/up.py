@@ -21,20 +21,14 @@ GIMBAL_SPREAD = 5.0  # degrees, median; gimbals that differ by more show nothing
 
 @dataclass(frozen=True, eq=False)
 class Vertical:
-    """What is known of the vertical in a reconstruction.
+    """What is known of the vertical in a reconstruction."""
 
-    Attributes
-    ----------
-    up : float64[3], the unit vector that most probably points up.
-    degrees : its standard deviation.
-    known : float64[K, 3], directions of which one points up; none if nothing determines it.
-    looks : float64[2, 3], the means over the photos of the direction of their top, and of the one
-        away from which they look; None if `up` was measured.
-    """
-
-    up: NDArray[np.float64]
-    degrees: float
+    up: NDArray[np.float64]  # float64[3], the unit vector that most probably points up
+    degrees: float  # its standard deviation
+    # float64[K, 3], directions of which one points up; none if nothing determines it
     known: NDArray[np.float64]
+    # float64[2, 3], the means over the photos of the direction of their top, and of the one away
+    # from which they look; None if `up` was measured
     looks: NDArray[np.float64] | None = None
 
     @classmethod

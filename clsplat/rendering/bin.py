@@ -53,30 +53,22 @@ class TooManyPairs(DeviceError):
 
 @dataclass(eq=False)
 class Pairs:
-    """The pairs of a frame, or of a band of it.
+    """The pairs of a frame, or of a band of it."""
 
-    Attributes
-    ----------
-    tiles_x : columns of tiles of the image.
-    tiles : range of the T tiles, numbered row by row.
-    counts : uint[FRAME_COUNTS], of the frame (clsplat/constants.py).
-    splat_counts, offsets : uint[V], how many pairs a splat has, the emission index of its first.
-    ranges : uint[T, 2], where the pairs of each tile begin and end in the two arrays that follow.
-    sorted_splats : uint[P], the splat of each pair, sorted by tile and then by depth.
-    emission_indices : uint[P], the index that each of these pairs has among those of its splat.
-    bucket_offsets : uint[T], the first bucket of each tile; in the group form only.
-    bucket_tiles : uint[B], the tile of each bucket, 0 past the last; B is an upper bound.
-    """
-
-    tiles_x: int
-    tiles: range
-    counts: Array
+    tiles_x: int  # columns of tiles of the image
+    tiles: range  # range of the T tiles, numbered row by row
+    counts: Array  # uint[FRAME_COUNTS], of the frame (clsplat/constants.py)
+    # splat_counts, offsets: uint[V], how many pairs a splat has, the emission index of its first
     splat_counts: Array
     offsets: Array
+    # uint[T, 2], where the pairs of each tile begin and end in the two arrays that follow
     ranges: Array
-    sorted_splats: Array
+    sorted_splats: Array  # uint[P], the splat of each pair, sorted by tile and then by depth
+    # uint[P], the index that each of these pairs has among those of its splat
     emission_indices: Array
+    # uint[T], the first bucket of each tile; in the group form only
     bucket_offsets: Array | None = None
+    # uint[B], the tile of each bucket, 0 past the last; B is an upper bound
     bucket_tiles: Array | None = None
 
     @property

@@ -55,57 +55,36 @@ ADJOINT = Kernel(
 
 
 class Exposure(NamedTuple):
-    """The response of the view of a frame (clsplat/response.py).
+    """The response of the view of a frame (clsplat/response.py)."""
 
-    Attributes
-    ----------
-    transforms : real[T, 12], the colour transforms of views.
-    view : the row of the frame's view.
-    camera : real[27], packed; this and the following are None if no lens has vignetting.
-    lens_of : uint[T], the lens of each view.
-    lenses : real[L, 4], their vignetting.
-    """
-
-    transforms: Array
-    view: int
+    transforms: Array  # real[T, 12], the colour transforms of views
+    view: int  # the row of the frame's view
+    # real[27], packed; this and the following are None if no lens has vignetting
     camera: Array | None = None
-    lens_of: Array | None = None
-    lenses: Array | None = None
+    lens_of: Array | None = None  # uint[T], the lens of each view
+    lenses: Array | None = None  # real[L, 4], their vignetting
 
 
 class Features(NamedTuple):
-    """What is blended in place of the colours of gaussians.
+    """What is blended in place of the colours of gaussians."""
 
-    Attributes
-    ----------
-    rows : real[N, C], of all gaussians; C is 1 to MOST_CHANNELS.
-    visible : uint[V], the gaussian of each splat.
-    """
-
-    rows: Array
-    visible: Array
+    rows: Array  # real[N, C], of all gaussians; C is 1 to MOST_CHANNELS
+    visible: Array  # uint[V], the gaussian of each splat
 
 
 @dataclass(eq=False)
 class Blended:
-    """The result of blending.
+    """The result of blending."""
 
-    Attributes
-    ----------
-    image : real[3, H, W]; of features real[C, H, W].
-    exposed : real[3, H, W], the image with a view's response; None without one.
-    transmittance : real[H, W], the share of the background that is visible.
-    last_contributor : int[H, W], index in its band of the last pair that was blended, or a later
-        one; -1 if there is none. A frame in slabs has no such array.
-    depth_channel : real[H, W]; None without one.
-    checkpoints, depth_checkpoints : of the band that was blended last; in the group form only.
-    """
-
-    image: Array
-    transmittance: Array
+    image: Array  # real[3, H, W]; of features real[C, H, W]
+    transmittance: Array  # real[H, W], the share of the background that is visible
+    # int[H, W], index in its band of the last pair that was blended, or a later one; -1 if there is
+    # none. A frame in slabs has no such array
     last_contributor: Array | None
-    depth_channel: Array | None
+    depth_channel: Array | None  # real[H, W]; None without one
+    # real[3, H, W], the image with a view's response; None without one
     exposed: Array | None = None
+    # checkpoints, depth_checkpoints: of the band that was blended last; in the group form only
     checkpoints: Array | None = None
     depth_checkpoints: Array | None = None
 
@@ -118,21 +97,14 @@ class Blended:
 
 @dataclass(frozen=True, eq=False)
 class SplatGrads:
-    """Gradients by splats: the sums over their pairs (cl/include/splat.h).
+    """Gradients by splats: the sums over their pairs (cl/include/splat.h)."""
 
-    Attributes
-    ----------
-    pair_grads : real[P, S], by pair, in the order of emission; S of `pair_columns`.
-    splat_counts, offsets : uint[V], how many pairs a splat has, and the first of them.
-    defines : the choices on which S depends.
-    earlier : real[V, S], the sums over earlier bands; None: zero.
-    """
-
-    pair_grads: Array
+    pair_grads: Array  # real[P, S], by pair, in the order of emission; S of `pair_columns`
+    # splat_counts, offsets: uint[V], how many pairs a splat has, and the first of them
     splat_counts: Array
     offsets: Array
-    defines: Defines
-    earlier: Array | None = None
+    defines: Defines  # the choices on which S depends
+    earlier: Array | None = None  # real[V, S], the sums over earlier bands; None: zero
 
 
 def pair_columns(channels: int, with_depth: bool) -> int:

@@ -19,53 +19,32 @@ Bands = tuple[range | None, ...]  # ranges of tiles; None is all tiles
 
 @dataclass(frozen=True)
 class Room:
-    """The sizes of a frame's arrays, where only the device knows how much of them is used.
+    """The sizes of a frame's arrays, where only the device knows how much of them is used."""
 
-    Attributes
-    ----------
-    visible : gaussians that a view may see.
-    pairs : pairs of tile and splat that a band may have.
-    bands : of the frame.
-    """
-
-    visible: int
-    pairs: int
-    bands: Bands = (None,)
+    visible: int  # gaussians that a view may see
+    pairs: int  # pairs of tile and splat that a band may have
+    bands: Bands = (None,)  # of the frame
 
 
 @dataclass(eq=False)
 class Frame:
-    """A rendered image, and what its adjoint needs.
+    """A rendered image, and what its adjoint needs."""
 
-    Attributes
-    ----------
-    camera : real[27], packed.
-    sh_degree : of the spherical harmonics that were used.
-    counts : uint[FRAME_COUNTS], the numbers of the frame (clsplat/constants.py).
-    visible : uint[V], rows of the gaussians that the camera sees, ascending.
-    splats : real[V, 12], in the order of `visible` (cl/include/splat.h).
-    order : uint[V], the splats front to back; in the item form only.
-    pairs : of a frame in one band; those of several bands are not kept.
-    bands : the ranges of tiles that are blended one after the other.
-    room : None, or the sizes of the arrays, which then may be larger than V and the number of
-        pairs.
-    blended : the image, and its depth and transmittance.
-    with_depth, depth_percent : as they were for `Renderer.render`.
-    features : what was blended in place of the colours; None: the colours were.
-    """
-
-    camera: Array
-    sh_degree: int
-    counts: Array
-    visible: Array
-    splats: Array
-    order: Array | None
-    pairs: bin.Pairs | None
-    bands: Bands
+    camera: Array  # real[27], packed
+    sh_degree: int  # of the spherical harmonics that were used
+    counts: Array  # uint[FRAME_COUNTS], the numbers of the frame (clsplat/constants.py)
+    visible: Array  # uint[V], rows of the gaussians that the camera sees, ascending
+    splats: Array  # real[V, 12], in the order of `visible` (cl/include/splat.h)
+    order: Array | None  # uint[V], the splats front to back; in the item form only
+    pairs: bin.Pairs | None  # of a frame in one band; those of several bands are not kept
+    bands: Bands  # the ranges of tiles that are blended one after the other
+    # None, or the sizes of the arrays, which then may be larger than V and the number of pairs
     room: Room | None
-    blended: blend.Blended
+    blended: blend.Blended  # the image, and its depth and transmittance
+    # with_depth, depth_percent: as they were for `Renderer.render`
     with_depth: bool
     depth_percent: int
+    # what was blended in place of the colours; None: the colours were
     features: blend.Features | None = None
 
     @property

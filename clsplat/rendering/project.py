@@ -61,23 +61,14 @@ class FieldGradients(Mapping[str, Array]):
 
     The gradient by a harmonic is the gradient by the colour times the harmonic, so 6 floats of a
     gaussian stand for 48.
-
-    Attributes
-    ----------
-    stored : field name -> gradient; those by the harmonics are added here.
-    grad_colours : real[V, 3], by the colours.
-    directions : real[V, 3], unit vectors from the camera.
-    harmonics : stored harmonics above the constant, 0, 3, 8 or 15.
-    defines : of the build of `project`, for the active degree.
-    counts : uint[FRAME_COUNTS], of the frame.
     """
 
-    stored: dict[str, Array]
-    grad_colours: Array
-    directions: Array
-    harmonics: int
-    defines: Defines
-    counts: Array
+    stored: dict[str, Array]  # field name -> gradient; those by the harmonics are added here
+    grad_colours: Array  # real[V, 3], by the colours
+    directions: Array  # real[V, 3], unit vectors from the camera
+    harmonics: int  # stored harmonics above the constant, 0, 3, 8 or 15
+    defines: Defines  # of the build of `project`, for the active degree
+    counts: Array  # uint[FRAME_COUNTS], of the frame
 
     def __getitem__(self, name: str) -> Array:
         if name in ("sh_constant", "sh_rest") and name not in self.stored:
@@ -99,26 +90,17 @@ class FieldGradients(Mapping[str, Array]):
 
 @dataclass(eq=False)
 class Gradients:
-    """Gradients of a loss by the V gaussians that a view saw.
+    """Gradients of a loss by the V gaussians that a view saw."""
 
-    Attributes
-    ----------
-    fields : name -> real[V, *row shape]; of one view a `FieldGradients`.
-    means : real[V, 2], by the mean of the splat, pixels; None for a mean of several views.
-    rows : uint[V], the row of each gaussian, or NO_ROW where the gradient is not finite.
-    visible : uint[V], the row of each gaussian, whatever its gradient.
-    counts : uint[FRAME_COUNTS]; only the first counts[COUNT_VISIBLE] of the V exist.
-    pose_terms : real[V, 6], their shares in the gradient by the camera's pose, if it was asked for.
-    features : real[V, C], by the features, if they were blended.
-    """
-
-    fields: Mapping[str, Array]
+    fields: Mapping[str, Array]  # name -> real[V, *row shape]; of one view a `FieldGradients`
+    # real[V, 2], by the mean of the splat, pixels; None for a mean of several views
     means: Array | None
-    rows: Array
-    visible: Array
-    counts: Array
+    rows: Array  # uint[V], the row of each gaussian, or NO_ROW where the gradient is not finite
+    visible: Array  # uint[V], the row of each gaussian, whatever its gradient
+    counts: Array  # uint[FRAME_COUNTS]; only the first counts[COUNT_VISIBLE] of the V exist
+    # real[V, 6], their shares in the gradient by the camera's pose, if it was asked for
     pose_terms: Array | None = None
-    features: Array | None = None
+    features: Array | None = None  # real[V, C], by the features, if they were blended
 
     def by_pose(self) -> NDArray[np.float64]:
         """float64[6], the gradient by the pose; waits.

@@ -96,20 +96,14 @@ def open_model(device: Device, gaussians: Gaussians, near: float, antialiased: b
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """A model in host memory, in parts with bounding boxes.
+    """A model in host memory, in parts with bounding boxes."""
 
-    Attributes
-    ----------
-    rows : field name -> float[N, *row shape].
-    firsts : int[P + 1], the first row of each part, and N.
-    low, high : float64[P, 3], corners of the bounding box of the centres, world units.
-    scales : float64[P], the largest standard deviation of a gaussian, world units.
-    """
-
-    rows: dict[str, NDArray[np.floating]]
-    firsts: NDArray[np.int64]
+    rows: dict[str, NDArray[np.floating]]  # field name -> float[N, *row shape]
+    firsts: NDArray[np.int64]  # int[P + 1], the first row of each part, and N
+    # low, high: float64[P, 3], corners of the bounding box of the centres, world units
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    # float64[P], the largest standard deviation of a gaussian, world units
     scales: NDArray[np.float64]
 
     @classmethod
@@ -170,16 +164,10 @@ def boxes_seen(low: NDArray[np.float64], high: NDArray[np.float64], scales: NDAr
 
 @dataclass(eq=False)
 class SlabFrame:
-    """A rendered image that has no adjoint.
+    """A rendered image that has no adjoint."""
 
-    Attributes
-    ----------
-    blended : the image, its depth and its transmittance.
-    slabs : how many slabs were rendered.
-    """
-
-    blended: Blended
-    slabs: int
+    blended: Blended  # the image, its depth and its transmittance
+    slabs: int  # how many slabs were rendered
 
     @property
     def image(self) -> Array:

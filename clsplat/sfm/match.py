@@ -34,16 +34,10 @@ FOLLOW = Kernel(
 
 
 class Described(NamedTuple):
-    """Features of photos on the device.
+    """Features of photos on the device."""
 
-    Attributes
-    ----------
-    counts : int[V], of each photo.
-    descriptors : uchar[V, M, 128], M a multiple of 16.
-    """
-
-    counts: Array
-    descriptors: Array
+    counts: Array  # int[V], of each photo
+    descriptors: Array  # uchar[V, M, 128], M a multiple of 16
 
     @classmethod
     def of(cls, device: Device, descriptors: Sequence[NDArray[np.uint8]]) -> "Described":

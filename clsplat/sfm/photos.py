@@ -38,27 +38,17 @@ class SourcePhoto:
 
 @dataclass(frozen=True)
 class SourceCamera:
-    """What is known of a camera before the reconstruction.
+    """What is known of a camera before the reconstruction."""
 
-    Attributes
-    ----------
-    model : COLMAP's name of the camera model.
-    width, height : pixels of its photos as stored.
-    focal : pixels, an estimate.
-    focal_known : whether the estimate comes from metadata.
-    calibration : by the maker, or None.
-    photos : indices of its photos.
-    is_chosen : whether the user has chosen the model, which is then kept.
-    """
-
-    model: str
+    model: str  # COLMAP's name of the camera model
+    # width, height: pixels of its photos as stored
     width: int
     height: int
-    focal: float
-    focal_known: bool
-    calibration: Calibration | None
-    photos: tuple[int, ...]
-    is_chosen: bool = False
+    focal: float  # pixels, an estimate
+    focal_known: bool  # whether the estimate comes from metadata
+    calibration: Calibration | None  # by the maker, or None
+    photos: tuple[int, ...]  # indices of its photos
+    is_chosen: bool = False  # whether the user has chosen the model, which is then kept
 
 
 def has_photos(folder: Path) -> bool:

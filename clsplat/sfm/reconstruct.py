@@ -49,31 +49,18 @@ FEW_FEATURES = 100
 
 @dataclass(frozen=True)
 class SfmOptions:
-    """Options of a reconstruction.
+    """Options of a reconstruction."""
 
-    Attributes
-    ----------
-    masks : a folder of masks, see `find_photos`, or None.
-    matching : which pairs are matched, as for `pairs.choose_pairs`.
-    camera_model : COLMAP's name of the camera model; "": by what is known of each camera.
-    frames : of a video, how many are used.
-    crs : coordinate reference system of the scene; "": the UTM zone.
-    control_points : a file of ground control points, to which cameras and points are adjusted, or
-        None.
-    check_points : names of those that take no part and show the error.
-    max_features : of a photo; of more, the largest are kept.
-    device : on which features are found and matched, as for `clsplat.Device`.
-    """
-
-    masks: Path | None = None
-    matching: str = "auto"
-    camera_model: str = ""
-    frames: int = 200
-    crs: str = ""
+    masks: Path | None = None  # a folder of masks, see `find_photos`, or None
+    matching: str = "auto"  # which pairs are matched, as for `pairs.choose_pairs`
+    camera_model: str = ""  # COLMAP's name of the camera model; "": by what is known of each camera
+    frames: int = 200  # of a video, how many are used
+    crs: str = ""  # coordinate reference system of the scene; "": the UTM zone
+    # a file of ground control points, to which cameras and points are adjusted, or None
     control_points: Path | None = None
-    check_points: tuple[str, ...] = ()
-    max_features: int = 8192
-    device: str = "auto"
+    check_points: tuple[str, ...] = ()  # names of those that take no part and show the error
+    max_features: int = 8192  # of a photo; of more, the largest are kept
+    device: str = "auto"  # on which features are found and matched, as for `clsplat.Device`
 
 
 def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progress,

@@ -26,21 +26,14 @@ CONFIRM = Kernel(
 
 
 class Compared(NamedTuple):
-    """A photo and those with which it is compared, on the device.
+    """A photo and those with which it is compared, on the device."""
 
-    Attributes
-    ----------
-    images, sizes : `device_images` of some photos, or of the inverse depths of their pixels.
-    reference : index of the photo.
-    sources : int[S], those of the others.
-    warps : real[S, 12], `plane_warp` of each.
-    """
-
+    # images, sizes: `device_images` of some photos, or of the inverse depths of their pixels
     images: Array
     sizes: Array
-    reference: int
-    sources: Array
-    warps: Array
+    reference: int  # index of the photo
+    sources: Array  # int[S], those of the others
+    warps: Array  # real[S, 12], `plane_warp` of each
 
     @classmethod
     def of(cls, images: Array, sizes: Array, cameras: Sequence[Camera], reference: int,

@@ -30,38 +30,23 @@ CURE = "see docs/guide/georeference.md for the format"
 
 @dataclass(frozen=True)
 class ControlPoint:
-    """A place with known coordinates.
+    """A place with known coordinates."""
 
-    Attributes
-    ----------
-    name : of the point.
-    position : (east, north, height), metres, map coordinates.
-    marks : (name of a photo, x, y), pixels of the photo as stored, whose upper left corner is
-        (0, 0).
-    is_check : whether it takes no part in placing a scene, and only shows its error.
-    """
-
-    name: str
-    position: _Place
+    name: str  # of the point
+    position: _Place  # (east, north, height), metres, map coordinates
+    # (name of a photo, x, y), pixels of the photo as stored, whose upper left corner is (0, 0)
     marks: tuple[_Mark, ...]
-    is_check: bool = False
+    is_check: bool = False  # whether it takes no part in placing a scene, and only shows its error
 
 
 @dataclass(frozen=True)
 class ControlPoints:
-    """The ground control points of a file, in its order.
-
-    Attributes
-    ----------
-    crs : of their coordinates.
-    vertical : what their heights count from, a phrase; "" if the file does not state it.
-    notes : how heights were understood, lines for the user.
-    """
+    """The ground control points of a file, in its order."""
 
     points: tuple[ControlPoint, ...] = ()
-    crs: str = ""
-    vertical: str = ""
-    notes: tuple[str, ...] = ()
+    crs: str = ""  # of their coordinates
+    vertical: str = ""  # what their heights count from, a phrase; "" if the file does not state it
+    notes: tuple[str, ...] = ()  # how heights were understood, lines for the user
 
 
 def read_control_points(path: str | Path | None, crs: str | None = None,

@@ -31,25 +31,19 @@ LEAST_PIXEL_STD = 0.05
 
 @dataclass(frozen=True)
 class PriorEffect:
-    """What the positions of photos changed as priors.
+    """What the positions of photos changed as priors."""
 
-    Attributes
-    ----------
-    photos, heights : how many positions, and of these heights, took part.
-    std : metres, along an axis of the ground and in height: medians of the standard deviations.
-    before, after : metres, RMS of the residuals along the ground and in height of those positions,
-        before and after the adjustment; None in height without heights.
-    moved : metres, by which cameras moved: the median and the largest.
-    focal_percent : by which focal lengths changed, the largest.
-    """
-
+    # photos, heights: how many positions, and of these heights, took part
     photos: int
     heights: int
+    # metres, along an axis of the ground and in height: medians of the standard deviations
     std: tuple[float, float | None]
+    # before, after: metres, RMS of the residuals along the ground and in height of those positions,
+    # before and after the adjustment; None in height without heights
     before: tuple[float, float | None]
     after: tuple[float, float | None]
-    moved: tuple[float, float]
-    focal_percent: float
+    moved: tuple[float, float]  # metres, by which cameras moved: the median and the largest
+    focal_percent: float  # by which focal lengths changed, the largest
 
     def __str__(self) -> str:
         residuals = [f"{before:.3g} to {after:.3g} m {way}" for before, after, way in zip(

@@ -35,21 +35,13 @@ EXCHANGED = "are x and y exchanged, or has one of them the wrong sign?"
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """What became of a reconstruction.
+    """What became of a reconstruction."""
 
-    Attributes
-    ----------
-    georeference : of its new coordinates; None if it is not georeferenced.
-    up : float64[3], the unit vector that points up in them.
-    notes : lines for the user: what was done, with residuals, or why it was not.
-    warnings : sentences that a user must see, even if all else is quiet.
-    priors : what the photos' positions changed in an adjustment; None: there was none.
-    """
-
-    georeference: Georeference | None
-    up: NDArray[np.float64]
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...] = ()
+    georeference: Georeference | None  # of its new coordinates; None if it is not georeferenced
+    up: NDArray[np.float64]  # float64[3], the unit vector that points up in them
+    notes: tuple[str, ...]  # lines for the user: what was done, with residuals, or why it was not
+    warnings: tuple[str, ...] = ()  # sentences that a user must see, even if all else is quiet
+    # what the photos' positions changed in an adjustment; None: there was none
     priors: PriorEffect | None = None
 
 

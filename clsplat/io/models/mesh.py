@@ -24,19 +24,12 @@ TRIANGLES, UNSIGNED_SHORT, UNSIGNED_INT, INDEX_BUFFER, VERTEX_BUFFER = 4, 5123, 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles in original coordinates; their vertices go counter-clockwise, seen from outside.
+    """Triangles in original coordinates; their vertices go counter-clockwise, seen from outside."""
 
-    Attributes
-    ----------
-    vertices : float64[N, 3].
-    colours : uint8[N, 3], of vertices, sRGB.
-    triangles : int32[M, 3], vertices.
-    voxel : of the volume from which it was made, units of the coordinates: how fine it can be.
-    """
-
-    vertices: NDArray[np.float64]
-    colours: NDArray[np.uint8]
-    triangles: NDArray[np.int32]
+    vertices: NDArray[np.float64]  # float64[N, 3]
+    colours: NDArray[np.uint8]  # uint8[N, 3], of vertices, sRGB
+    triangles: NDArray[np.int32]  # int32[M, 3], vertices
+    # of the volume from which it was made, units of the coordinates: how fine it can be
     voxel: float
 
 

@@ -49,18 +49,12 @@ OPACITY_STEPS = Steps(255)
 
 @dataclass(frozen=True)
 class Notes:
-    """What a file holds about its gaussians, if its format has a place for it.
+    """What a file holds about its gaussians, if its format has a place for it."""
 
-    Attributes
-    ----------
-    comments : lines of text.
-    up : float64[3], the unit vector that points up; None: unknown.
-    georeference : of the original coordinates; None: unknown.
-    """
-
-    comments: tuple[str, ...] = ()
+    comments: tuple[str, ...] = ()  # lines of text
+    # float64[3], the unit vector that points up; None: unknown
     up: NDArray[np.float64] | None = None
-    georeference: Georeference | None = None
+    georeference: Georeference | None = None  # of the original coordinates; None: unknown
 
     @classmethod
     def of_lines(cls, lines: Iterable[str]) -> Notes:

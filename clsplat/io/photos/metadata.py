@@ -30,44 +30,33 @@ Calibration = tuple[float, ...]  # fx, fy, cx, cy, pixels, and k1, k2, p1, p2, a
 
 @dataclass(frozen=True)
 class PhotoMetadata:
-    """What a photo's file records about where and with which lens it was taken.
+    """What a photo's file records about where and with which lens it was taken."""
 
-    Attributes
-    ----------
-    width, height : pixels as stored.
-    orientation : EXIF's number, 1 to 8, of the turn that shows the photo upright; 1 without one.
-    camera : make, model and serial number of the body, "" if unknown.
-    lens : name and focal length, "" if unknown.
-    focal_pixels : focal length in pixels of the photo as stored, an estimate.
-    calibration : by the maker, of the photo as stored, if its distortion is not corrected.
-    latitude, longitude : degrees, WGS 84, positive to the north and east; both or neither.
-    altitude : metres above sea level; often wrong by tens of metres, or above something else.
-    above_ellipsoid : whether the altitude is above the ellipsoid, by the file.
-    void : whether the receiver marked the position as void.
-    gps_std : standard deviations to the east, to the north and up, metres (RTK of DJI, Pix4D's
-        tags, which other makers use, or EXIF's for both axes of the ground, and twice that for
-        height).
-    gimbal_pitch, gimbal_roll : degrees (DJI); the pitch of a camera that looks straight down is
-        -90.
-    is_deep : whether it is grey, with samples of 16 bits.
-    """
-
+    # width, height: pixels as stored
     width: int
     height: int
+    # EXIF's number, 1 to 8, of the turn that shows the photo upright; 1 without one
     orientation: int = 1
-    camera: str = ""
-    lens: str = ""
-    focal_pixels: float | None = None
+    camera: str = ""  # make, model and serial number of the body, "" if unknown
+    lens: str = ""  # name and focal length, "" if unknown
+    focal_pixels: float | None = None  # focal length in pixels of the photo as stored, an estimate
+    # by the maker, of the photo as stored, if its distortion is not corrected
     calibration: Calibration | None = None
+    # latitude, longitude: degrees, WGS 84, positive to the north and east; both or neither
     latitude: float | None = None
     longitude: float | None = None
+    # metres above sea level; often wrong by tens of metres, or above something else
     altitude: float | None = None
-    above_ellipsoid: bool = False
-    void: bool = False
+    above_ellipsoid: bool = False  # whether the altitude is above the ellipsoid, by the file
+    void: bool = False  # whether the receiver marked the position as void
+    # standard deviations to the east, to the north and up, metres (RTK of DJI, Pix4D's tags, which
+    # other makers use, or EXIF's for both axes of the ground, and twice that for height)
     gps_std: tuple[float, float, float] | None = None
+    # gimbal_pitch, gimbal_roll: degrees (DJI); the pitch of a camera that looks straight down is
+    # -90
     gimbal_pitch: float | None = None
     gimbal_roll: float | None = None
-    is_deep: bool = False
+    is_deep: bool = False  # whether it is grey, with samples of 16 bits
 
     @property
     def quarter_turns(self) -> int:

@@ -83,26 +83,18 @@ def optics(size: tuple[int, int], focal: tuple[float, float], centre: tuple[floa
 
 @dataclass(frozen=True, eq=False)
 class PosedPhoto:
-    """A photo as a data set or a project describes it.
+    """A photo as a data set or a project describes it."""
 
-    Attributes
-    ----------
-    name, source : of the view, and its file.
-    optics : its camera model.
-    rotation : float64[3, 3], world to camera (right, down, forward); nearly a rotation, as far as
-        files are rounded.
-    position : float64[3], the optical centre, world.
-    held_out : whether it is a test view.
-    mask : an image of which pixels count.
-    """
-
+    # name, source: of the view, and its file
     name: str
     source: Path
-    optics: Optics
+    optics: Optics  # its camera model
+    # float64[3, 3], world to camera (right, down, forward); nearly a rotation, as far as files are
+    # rounded
     rotation: NDArray[np.float64]
-    position: NDArray[np.float64]
-    held_out: bool = False
-    mask: Path | None = None
+    position: NDArray[np.float64]  # float64[3], the optical centre, world
+    held_out: bool = False  # whether it is a test view
+    mask: Path | None = None  # an image of which pixels count
 
 
 def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: Cloud | None, *,
