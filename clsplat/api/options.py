@@ -1,7 +1,5 @@
 """`clsplat.TrainOptions`: the options of a training, checked and complete when they are made."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 from clsplat import options

@@ -1,17 +1,10 @@
 """Points in clusters, so that a view is compared with those that it may show."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from clsplat.camera import turned
-
-if TYPE_CHECKING:
-    from clsplat.camera import Camera
+from clsplat.camera import Camera, turned
 
 CLUSTER = 256  # points that a view is compared with together
 ROUNDING = 1e-6  # of the lengths compared: a cluster is never missed by it

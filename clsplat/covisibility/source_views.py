@@ -13,12 +13,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from clsplat.scene import rows_by_view
+from clsplat.scene import Scene, View, rows_by_view
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-    from clsplat.scene import Scene, View
 
 BEST_ANGLE = 10.0  # degrees between two views' rays at a point
 LOG_ANGLE_SIGMA = np.log(2)  # half and twice the best angle have the weight exp(-1/2)

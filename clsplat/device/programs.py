@@ -5,8 +5,6 @@ PoCL, NVIDIA's driver, Mesa and Intel's GPU driver have caches of their own. pyo
 used: a process that was killed leaves its lock, and the next one waits a minute for it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -15,15 +13,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pyopencl as cl
 
 from clsplat.constants import SHARED
+from clsplat.device.kernel import Contract
 from clsplat.errors import DeviceError
-
-if TYPE_CHECKING:
-    from clsplat.device.kernel import Contract
 
 PLATFORMS = ("Intel(R) OpenCL",)
 KEPT_DAYS = 60  # since its last use

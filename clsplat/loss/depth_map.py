@@ -1,7 +1,5 @@
 """The rendered depth of a view against a depth map (cl/depth_map.cl), which holds the training."""
 
-from __future__ import annotations
-
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
 from clsplat.primitives.reduce import sum_columns
 

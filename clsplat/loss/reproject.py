@@ -5,8 +5,6 @@ A pixel of view i at depth z = depth / (1 - T) is projected into photo j; the sq
 the two colours pulls depths to where the photos agree (SIG, "Densification Regularization").
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -60,30 +60,22 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class SceneFacts:
-    """What a schedule knows about the scene before training.
+    """What a schedule knows about the scene before training."""
 
-    Attributes
-    ----------
-    size : (width, height) of the smallest training image, pixels.
-    count : number of initial gaussians.
-    inverse_distance : 1 / world unit; mean of 1 / distance to the nearest other sparse point.
-    photos : returns an iterator over all training photos uint8[3, H, W], which are read anew.
-    pixels : number of pixels in all training photos.
-    disagreement : returns the standard deviation of a place's colour over the photos that show it,
-        a share of full brightness (covisibility/disagreement.py); nan: not known. Photos are read.
-    shown_in : mean number of training photos that show a sparse point, of the points that two or
-        more show; nan: not known.
-    dense : whether training begins at dense points that enter with the levels.
-    """
-
-    size: tuple[int, int]
-    count: int
+    size: tuple[int, int]  # (width, height) of the smallest training image, pixels
+    count: int  # number of initial gaussians
+    # 1 / world unit; mean of 1 / distance to the nearest other sparse point
     inverse_distance: float
+    # returns an iterator over all training photos uint8[3, H, W], which are read anew
     photos: Callable[[], Iterator[NDArray[np.uint8]]]
-    pixels: int
+    pixels: int  # number of pixels in all training photos
+    # returns the standard deviation of a place's colour over the photos that show it, a share of
+    # full brightness (covisibility/photometry.py); nan: not known. Photos are read
     disagreement: Callable[[], float] = lambda: math.nan
+    # mean number of training photos that show a sparse point, of the points that two or more show;
+    # nan: not known
     shown_in: float = math.nan
-    dense: bool = False
+    dense: bool = False  # whether training begins at dense points that enter with the levels
 
     def differing(self) -> str:
         """How much the photos disagree, as a clause."""

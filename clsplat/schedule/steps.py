@@ -6,11 +6,11 @@ import dataclasses
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from clsplat.config.option import MOST_STEPS, is_auto
+from clsplat.schedule.plan import SceneFacts
 from clsplat.schedule.registry import schedule_of
 
 if TYPE_CHECKING:
     from clsplat.options import RunOptions, ScheduledOptions
-    from clsplat.schedule.plan import SceneFacts
 
 Options = TypeVar("Options", bound="ScheduledOptions")
 
