@@ -15,12 +15,7 @@ class Gaussians(gaussians.Gaussians):
 
     @classmethod
     def of(cls, model: gaussians.Gaussians) -> Gaussians:
-        """The same gaussians as an object of this class.
-
-        Parameters
-        ----------
-        model : whose arrays are shared, not copied.
-        """
+        """The same gaussians as an object of this class, which shares the arrays of `model`."""
         return model if isinstance(model, cls) else cls(model.rows, model.sh_degree, model.offset)
 
     @classmethod

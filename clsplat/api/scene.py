@@ -55,12 +55,7 @@ class Scene(scene.Scene):
 
     @classmethod
     def of(cls, data: scene.Scene) -> Scene:
-        """The same scene as an object of this class.
-
-        Parameters
-        ----------
-        data : whose arrays are shared, not copied.
-        """
+        """The same scene as an object of this class, which shares the arrays of `data`."""
         if isinstance(data, cls):
             return data
         named = {each.name: getattr(data, each.name) for each in fields(data)}

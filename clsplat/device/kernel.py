@@ -99,15 +99,9 @@ class Kernel:
         array: its type, then its shape, where equal letters must agree; `Only` for one that some
         builds lack, `Either` for one that has two types. `real` is float, or double on a device
         opened for double precision.
-
-    Attributes
-    ----------
-    declared : the kernels of each file whose modules were imported.
-    forms : the contracts of a build that has all arguments.
-    only : name of an argument that some builds lack -> the constant that it depends on.
-    choices : the constants on which arguments or their types depend.
     """
 
+    # the kernels of each file whose modules were imported
     declared: ClassVar[dict[str, list[Kernel]]] = {}
 
     def __init__(self, file: str, function: str, launch: Launch | Forms,
@@ -115,12 +109,14 @@ class Kernel:
         self.file, self.function = file, function
         self.launches = launch if isinstance(launch, Forms) else Forms(launch, launch)
         own = [argument for form in self.launches if form for argument in form.arguments.items()]
+        # name of an argument that some builds lack -> the constant that it depends on
         self.only = {name: argument.define for name, argument in (*arguments.items(), *own)
                      if isinstance(argument, Only)}
         self.choices = {argument.define for _, argument in (*arguments.items(), *own)
                         if isinstance(argument, (Only, Either))}
         self.arguments = arguments
         self._contracts: dict[tuple[str, frozenset[str]], Contract | None] = {}
+        # those of a build that has all arguments
         self.forms = Forms(*(self._contract(form, frozenset(self.only.values()))
                              for form in Forms._fields))
         self.names = {name for form in self.forms if form for name in form.arguments}

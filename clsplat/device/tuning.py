@@ -17,14 +17,20 @@ REPORTED: dict[str, Collection[Any]] = {  # by a device, and the values that the
     "kind": ("cpu", "gpu"), "wave": (32, 64), "compute_units": range(1, 1 << 31),
     "local_bytes": range(1, 1 << 31)}
 SIZES: dict[str, Collection[int]] = {  # and the values for which kernels are written
-    "item_runs": (1, 2, 4, 8, 16), "group_size": (32, 64, 128, 256),
-    "scan_group": (64, 128, 256), "tile": (8, 16), "bucket": (32, 64, 128),
-    "adjoint_waves": (1, 2, 4)}
+    # work-items a core of the item form's FOR_EACH, as cores are not equally busy
+    "item_runs": (1, 2, 4, 8, 16),
+    # work-items a group of the group form's FOR_EACH, at most MOST_ITEMS of adam.cl
+    "group_size": (32, 64, 128, 256),
+    # work-items a group that scans or sums, a power of two, at most LANES
+    "scan_group": (64, 128, 256),
+    "tile": (8, 16),  # pixels, the width and height of a tile of the group form
+    "bucket": (32, 64, 128),  # pairs for which one group of the blend adjoint works
+    "adjoint_waves": (1, 2, 4)}  # waves of that group
 CURE = f"write it with `clsplat bench tune`, or unset {TUNING}"
 
 
 def tuning_of(kind: str, wave: int, compute_units: int = 0, local_bytes: int = 0) -> dict[str, int]:
-    """Sizes of the kernels of a device; InputError if the user's file cannot be used.
+    """SIZES of the kernels of a device; InputError if the user's file cannot be used.
 
     Parameters
     ----------
@@ -32,15 +38,6 @@ def tuning_of(kind: str, wave: int, compute_units: int = 0, local_bytes: int = 0
     wave : lanes that run in step.
     compute_units : cores, or what a GPU has of them; 0: unknown.
     local_bytes : local memory of a group; 0: unknown.
-
-    Returns
-    -------
-    item_runs : work-items a core of the item form's FOR_EACH, as cores are not equally busy.
-    group_size : work-items a group of the group form's FOR_EACH, at most MOST_ITEMS of adam.cl.
-    scan_group : work-items a group that scans or sums, a power of two, at most LANES.
-    tile : pixels, the width and height of a tile of the group form.
-    bucket : pairs for which one group of the blend adjoint works, a multiple of 32.
-    adjoint_waves : waves of that group.
     """
     reported = {"kind": kind, "wave": wave, "compute_units": compute_units,
                 "local_bytes": local_bytes}

@@ -79,14 +79,9 @@ class Renderer:
     near : depth of the near plane, world units.
     antialiased : whether opacities are scaled by the area that the low-pass filter adds (Yu et al.
         2024, Mip-Splatting).
-    background : red, green and blue.
     orthographic : whether its cameras are; such frames have no adjoint.
     low_pass : added to the variances of a splat, pixels squared.
     smooth_cutoff : for tests only (cl/include/footprint.h).
-
-    Attributes
-    ----------
-    skipped : uint[1], how many gradients of gaussians were not finite so far.
     """
 
     def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,

@@ -36,14 +36,10 @@ Source = str | Path | bytes | NDArray[Any]  # a file, an encoded photo, or pixel
 class Photo:
     """A photo whose header was read; see `opened`.
 
-    Attributes
-    ----------
-    name : for messages.
-    width, height : pixels as stored.
-    orientation : the number in EXIF, 1 without one.
-    extra : how many channels there are beyond colour and alpha.
-    is_deep : whether it is grey, with samples of 16 bits.
-    levels : the samples that become black and white; None: the least and the greatest of all.
+    `name` is for messages; `width` and `height` are pixels as stored; `orientation` is EXIF's
+    number, 1 without one; `extra` is how many channels there are beyond colour and alpha. A photo
+    that `is_deep` is grey, with samples of 16 bits, of which `levels` become black and white; None:
+    the least and the greatest of all.
     """
 
     def __init__(self, name: str | Path, image: Any) -> None:
