@@ -253,21 +253,15 @@ def turned(rotation: NDArray[np.float64], points: ArrayLike) -> NDArray[np.float
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """How the stored photo of a view differs from that of a pinhole camera (io/photos/lenses.py).
+    """How the stored photo of a view differs from a pinhole camera's (io/photos/lenses.py)."""
 
-    Attributes
-    ----------
-    model : COLMAP's name of the camera model, such as OPENCV.
-    size : (width, height), pixels, of the stored photo for which the parameters hold.
-    parameters : in COLMAP's order, pixels.
-    rotation : float64[3, 3], from the undistorted camera's frame to that of the stored photo.
-    width, height, focal, centre : the pinhole camera of the whole undistorted photo, pixels.
-    """
-
-    model: str
+    model: str  # COLMAP's name of the camera model, such as OPENCV
+    # (width, height), pixels, of the stored photo for which the parameters hold
     size: tuple[int, int]
-    parameters: tuple[float, ...]
+    parameters: tuple[float, ...]  # in COLMAP's order, pixels
+    # float64[3, 3], from the undistorted camera's frame to that of the stored photo
     rotation: NDArray[np.float64]
+    # width, height, focal, centre: the pinhole camera of the whole undistorted photo, pixels
     width: int
     height: int
     focal: tuple[float, float]

@@ -21,20 +21,14 @@ MINIMUM_DISTANCE = 1e-7  # share of the cloud's size; coincident points get this
 
 @dataclass(frozen=True)
 class Field:
-    """One stored parameter of every gaussian.
+    """One stored parameter of every gaussian."""
 
-    Attributes
-    ----------
-    name : key of its rows.
-    rate : initial learning rate (Kerbl et al. 2023; positions: times the scene's extent); 0 for a
-        parameter that is not learned.
-    ply : names of its PLY columns, in the order of a row.
-    shape : of a row; None: the bands of the spherical harmonics above the constant, by 3.
-    """
-
-    name: str
+    name: str  # key of its rows
+    # initial learning rate (Kerbl et al. 2023; positions: times the scene's extent); 0 for a
+    # parameter that is not learned
     rate: float
-    ply: tuple[str, ...]
+    ply: tuple[str, ...]  # names of its PLY columns, in the order of a row
+    # of a row; None: the bands of the spherical harmonics above the constant, by 3
     shape: tuple[int, ...] | None = None
 
     def row_shape(self, sh_degree: int) -> tuple[int, ...]:

@@ -14,23 +14,18 @@ MOST_RESIDUAL = 0.03  # of the size of a survey; beyond it the residual is a war
 
 @dataclass(frozen=True)
 class Residual:
-    """How a georeferenced scene shows one place whose map coordinates were measured.
+    """How a georeferenced scene shows one place whose map coordinates were measured."""
 
-    Attributes
-    ----------
-    name : of the photo or of the ground control point.
-    role : "control" if it decided where the scene lies, "check" if it took no part, and "left out"
-        if it contradicts the others.
-    east, north, up : metres, from the measured place to the one in the scene; up is None if no
-        height was measured.
-    pixels : RMS distance of the marks of a ground control point from its known place; None for GPS.
-    """
-
-    name: str
+    name: str  # of the photo or of the ground control point
+    # "control" if it decided where the scene lies, "check" if it took no part, and "left out" if it
+    # contradicts the others
     role: str
+    # east, north, up: metres, from the measured place to the one in the scene; up is None if no
+    # height was measured
     east: float
     north: float
     up: float | None
+    # RMS distance of the marks of a ground control point from its known place; None for GPS
     pixels: float | None = None
 
 
@@ -96,12 +91,7 @@ class Georeference:
 
 
 def axis_errors(residuals: Iterable[Residual]) -> dict[str, AxisError]:
-    """Mean, standard deviation and RMS of residuals by axis; axes without any are missing.
-
-    Parameters
-    ----------
-    residuals : of measured places.
-    """
+    """Mean, standard deviation and RMS of residuals by axis; axes without any are missing."""
     rows = np.array([(each.east, each.north, each.up) for each in residuals], np.float64)
     result = {}
     for axis, column in zip(AXES, rows.reshape(-1, 3).T):

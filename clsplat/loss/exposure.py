@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clsplat import constants
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
-from clsplat.rendering.blend import RESPONSE, Defines, Exposure, response_defines
+from clsplat.rendering.blend import RESPONSE, Exposure, response_defines
 from clsplat.response import Lenses, Response
 
 IDENTITY = np.eye(3, 4)
@@ -57,6 +57,8 @@ class Exposures:
         self._recentred = np.tile(IDENTITY, (views, 1, 1)) if initial is None else initial
         self._mean = self._recentred.reshape(views, constants.TRANSFORM_REALS).mean(axis=0)
         self.has_vignetting = lenses is not None
+        self._defines = response_defines(self.has_vignetting)
+        self._learned = LEARNED + LEARNED_VIGNETTING * self.has_vignetting
         self.transforms, self.m, self.v = (
             device.zeros((views, constants.TRANSFORM_REALS)) for _ in range(3))
         # without lenses a token stands for them
@@ -93,10 +95,6 @@ class Exposures:
                       lenses=self.lenses, image=image, grad=grad, grad_image=grad_image,
                       partials=partials)
         return grad_image, partials
-
-    @property
-    def _defines(self) -> Defines:
-        return response_defines(self.has_vignetting)
 
     def step(self, view: int, partials: Array, counts: Array) -> None:
         """Take one step of Adam on a view's transform and its lens; does not wait for the device.
@@ -159,7 +157,3 @@ class Exposures:
         self._recentred = arrays["recentred"]
         for name in self._learned:
             getattr(self, name).write(arrays[name])
-
-    @property
-    def _learned(self) -> tuple[str, ...]:
-        return LEARNED + LEARNED_VIGNETTING * self.has_vignetting
