@@ -49,44 +49,31 @@ NVIDIA_WARPS, NVIDIA_GROUPS, NVIDIA_REGISTERS = 64, 32, 1 << 16  # of a multipro
 
 @dataclass(frozen=True)
 class Usage:
-    """What a compiled kernel takes of its target.
-
-    Attributes
-    ----------
-    vector, scalar : registers; a scalar one is shared by the lanes of a wave.
-    vector_spills, scalar_spills : registers that were spilled to memory, or bytes of a lane where
-        the compiler counts these; 0 where it does not say.
-    scratch, local : bytes of a lane's private memory, and of a group's local memory.
-    waves : that run at a time on a SIMD (AMD) or a multiprocessor (NVIDIA); for Intel, lanes of
-        a thread, which its compiler makes fewer where registers do not suffice.
-    """
+    """What a compiled kernel takes of its target."""
 
     kernel: str
-    vector: int = 0
-    scalar: int = 0
+    vector: int = 0  # registers
+    scalar: int = 0  # registers, each shared by the lanes of a wave
+    # registers that were spilled to memory, or bytes of a lane where the compiler counts these; 0
+    # where it does not say
     vector_spills: int = 0
     scalar_spills: int = 0
-    scratch: int = 0
-    local: int = 0
+    scratch: int = 0  # bytes of a lane's private memory
+    local: int = 0  # bytes of a group's local memory
+    # that run at a time on a SIMD (AMD) or a multiprocessor (NVIDIA); for Intel, lanes of a thread,
+    # which its compiler makes fewer where registers do not suffice
     waves: int = 0
 
 
 @dataclass(frozen=True)
 class Target:
-    """A device to compile for.
+    """A device to compile for."""
 
-    Attributes
-    ----------
-    name, form : its name for the compiler, and the form of kernels that it runs.
-    wave : lanes that run in step.
-    needs : programs and files that must be installed.
-    compile : (target, source file, options, kernel -> size of its groups) -> usages.
-    """
-
-    name: str
-    form: str
-    wave: int
-    needs: tuple[str | Path, ...]
+    name: str  # for the compiler
+    form: str  # of the kernels that it runs
+    wave: int  # lanes that run in step
+    needs: tuple[str | Path, ...]  # programs and files that must be installed
+    # (target, source file, options, kernel -> size of its groups) -> usages
     compile: Callable[[Target, Path, Sequence[str], Mapping[str, int]], list[Usage]]
 
 

@@ -63,17 +63,11 @@ WORK: tuple[tuple[str, Mapping[str, Any]], ...] = (
 
 @dataclass(frozen=True)
 class Program:
-    """A program that some work builds.
+    """A program that some work builds."""
 
-    Attributes
-    ----------
-    file : of `cl`.
-    choices : the constants of its build that no device decides.
-    kernels : those that the work launches -> the size of their groups, as `Launch.group`.
-    """
-
-    file: str
-    choices: Defines
+    file: str  # of `cl`
+    choices: Defines  # the constants of its build that no device decides
+    # those that the work launches -> the size of their groups, as `Launch.group`
     kernels: Mapping[str, str]
 
 

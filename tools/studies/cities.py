@@ -104,14 +104,8 @@ class Work:
                          for record in map(json.loads, lines)}
 
     def train(self, name, command, scene, *flags):
-        """Train OUT/NAME, unless it has been; the folder and the seconds of the whole command.
-
-        Parameters
-        ----------
-        name : of the new folder.
-        command : "train" or "city".
-        scene : its path.
-        """
+        """Train OUT/NAME by the command "train" or "city", unless it has been; the folder and the
+        seconds of the whole command."""
         folder, words = self.out / name, (command, *map(str, (scene, *flags)), *self.flags)
         if (name, *words) not in self._seconds:
             shutil.rmtree(folder, ignore_errors=True)

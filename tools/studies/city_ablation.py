@@ -95,15 +95,8 @@ def main(argv: list[str]) -> None:
 
 def trained(out: Path, scene: Scene, off: str, joint: bool, seed: int, flags: list[str]
             ) -> dict[str, Any]:
-    """Train a city, which begins anew if it was stopped; its line.
-
-    Parameters
-    ----------
-    out : folder of the cities.
-    off : the mechanism.
-    joint : whether it ends with a joint training.
-    seed, flags : of `clsplat city`.
-    """
+    """Train a city without the mechanism `off`, on request with a `joint` training at its end; it
+    begins anew if it was stopped. Returns its line."""
     folder = out / scene.name / f"{off}.{'joint' if joint else 'blocks'}.{seed}"
     shutil.rmtree(folder, ignore_errors=True)
     words = [scene.path, "-o", folder, "-q", "-r", f"{scene.downscale:g}", "--seed", seed,

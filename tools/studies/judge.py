@@ -50,22 +50,13 @@ FACTS = ("fingerprint", "opencl_device", "kernel_form", "version", "commit")
 
 @dataclass(frozen=True, eq=False)
 class JudgedRun:
-    """A run that the study needs.
+    """A run that the study needs."""
 
-    Attributes
-    ----------
-    scene : the photo set.
-    name : of the schedule, or of another column.
-    division : which views are held out.
-    options : those that its flags give, by name, without the device.
-    device : that which they ask for.
-    """
-
-    scene: Scene
-    name: str
+    scene: Scene  # the photo set
+    name: str  # of the schedule, or of another column
     division: Division
-    options: dict
-    device: str
+    options: dict  # those that its flags give, by name, without the device
+    device: str  # that which they ask for
 
     @property
     def key(self):
@@ -233,12 +224,8 @@ def read_results(folder):
 
 
 def train_all(runs, file, arguments, begin):
-    """Train runs until the time is over; the result of each becomes a line of `file`.
-
-    Returns
-    -------
-    What failed, and why.
-    """
+    """Train runs until the time is over; the result of each becomes a line of `file`. Returns what
+    failed, and why."""
     device, scenes, longest, failed = None, {}, {}, []
     for number, run in enumerate(runs, 1):
         left = 60 * arguments.minutes - (time.monotonic() - begin)

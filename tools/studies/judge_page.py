@@ -24,19 +24,11 @@ SCORES = (("PSNR cc, dB", CC, 2), ("PSNR, dB", PLAIN, 2), ("SSIM cc", "ssim_cc",
 
 
 class Division(NamedTuple):
-    """What a run is trained and scored on.
+    """What a run is trained and scored on."""
 
-    Attributes
-    ----------
-    set : the name of the photo set.
-    steps : of the training.
-    offset : `--test-offset`.
-    seed : of the training.
-    """
-
-    set: str
+    set: str  # the name of the photo set
     steps: int
-    offset: int
+    offset: int  # `--test-offset`
     seed: int
 
     def __str__(self):
@@ -91,13 +83,9 @@ class Compared:
             self.sets.setdefault(name, []).append(offset)
 
     def of_set(self, name, measure, *, among=None):
-        """Set -> the mean of a measure of one column, which may be one of two columns' runs.
-
-        Parameters
-        ----------
-        measure : results of a division by column -> a number or None.
-        among : places (set, offset) to use; None: all.
-        """
+        """Set -> the mean of a measure of one column, which may be one of two columns' runs, at
+        the places `among` (set, offset), None: all. `measure` makes of the results of a division by
+        column a number or None."""
         means = {}
         for place, by_name in self.cells.items():
             value = measure(by_name, name) if among is None or place in among else None

@@ -39,26 +39,17 @@ NO_STEP = 2**24  # alphas below 1 / NO_STEP do not change a float32 transmittanc
 
 @dataclass(frozen=True)
 class Variant:
-    """An approximation, or a reference.
+    """An approximation, or a reference."""
 
-    Attributes
-    ----------
-    knob : the property that differs from the default.
-    name : its value.
-    defines : constants of the kernels.
-    flags : of the OpenCL compiler.
-    precision : "float" or "double".
-    half : the array that is rounded to 16-bit floats: "splats", "shapes" (splats without their
-        means), "sums" (of pairs), or "" for none.
-    half_scale : a power of two by which sums are multiplied before and divided after rounding.
-    """
-
-    knob: str
-    name: str
-    defines: tuple[tuple[str, Any], ...] = ()
-    flags: tuple[str, ...] = ()
-    precision: str = "float"
+    knob: str  # the property that differs from the default
+    name: str  # its value
+    defines: tuple[tuple[str, Any], ...] = ()  # constants of the kernels
+    flags: tuple[str, ...] = ()  # of the OpenCL compiler
+    precision: str = "float"  # or "double"
+    # the array that is rounded to 16-bit floats: "splats", "shapes" (splats without their means),
+    # "sums" (of pairs), or "" for none
     half: str = ""
+    # a power of two by which sums are multiplied before and divided after rounding
     half_scale: int = 1
 
     @property

@@ -24,24 +24,15 @@ INNER = BLOCK_WIDTH / 2 - STREET - PAVEMENT  # half the width of a block inside 
 
 @dataclass(frozen=True, eq=False)
 class City:
-    """The solids of a city, in world units.
+    """The solids of a city, in world units."""
 
-    Attributes
-    ----------
-    seed : the seed it was made from.
-    blocks : the number of blocks along x and y.
-    parks : [blocks along x, along y]; the blocks without buildings.
-    boxes : [B, 2, 3]; low and high corners. Every box stands on the ground, even one on a roof.
-    kinds : [B]; indices into KINDS.
-    spheres : [S, 4]; centre and radius.
-    """
-
-    seed: int
-    blocks: tuple[int, int]
-    parks: NDArray[np.bool_]
+    seed: int  # it was made from this
+    blocks: tuple[int, int]  # how many along x and y
+    parks: NDArray[np.bool_]  # [blocks along x, along y]; the blocks without buildings
+    # [B, 2, 3]; low and high corners. Every box stands on the ground, even one on a roof
     boxes: NDArray[np.float64]
-    kinds: NDArray[np.integer]
-    spheres: NDArray[np.float64]
+    kinds: NDArray[np.integer]  # [B]; indices into KINDS
+    spheres: NDArray[np.float64]  # [S, 4]; centre and radius
 
     @property
     def extent(self) -> NDArray[np.float64]:
@@ -56,14 +47,8 @@ class City:
 
 
 def lay_out(blocks: tuple[int, int] = (2, 2), seed: int = 0, small: bool = False) -> City:
-    """A City; the same seed gives the same city.
-
-    Parameters
-    ----------
-    blocks : their number along x and y.
-    seed : of all randomness.
-    small : whether it has small parts, too: on roofs, in yards and along the streets.
-    """
+    """A City of so many blocks along x and y; the same seed gives the same city. `small` : whether
+    it has small parts, too: on roofs, in yards and along the streets."""
     builder = _Builder(np.random.default_rng([seed, 1]))
     parks = np.zeros(blocks, bool)
     if parks.size > 1:
@@ -225,21 +210,12 @@ def sample(city: City, count: int, margin: float, rng: np.random.Generator) -> N
 
 def sample_solids(city: City, count: int, margin: float, rng: np.random.Generator
                   ) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
-    """Sample points uniformly from the area of all surfaces.
+    """Sample points uniformly from the area of all surfaces, of ground that reaches by `margin`,
+    world units, beyond the built area.
 
     Parts of surfaces inside another solid are included, since the ray caster tells what is visible.
-
-    Parameters
-    ----------
-    city : the solids.
-    count : the number of points.
-    margin : how far the ground reaches beyond the built area, world units.
-    rng : the source of randomness.
-
-    Returns
-    -------
-    The points [count, 3], world, and their primitives [count]: 0 for the ground, then the boxes,
-    then the spheres.
+    Returns the points [count, 3], world, and their primitives [count]: 0 for the ground, then the
+    boxes, then the spheres.
     """
     size = city.boxes[:, 1] - city.boxes[:, 0]
     ground = city.extent + margin
@@ -269,13 +245,8 @@ def sample_solids(city: City, count: int, margin: float, rng: np.random.Generato
 
 
 def geometry_json(city: City, gains: NDArray[np.float64] | None = None) -> str:
-    """The text of `geometry.json`, the ground truth of a scene folder.
-
-    Parameters
-    ----------
-    city : the solids.
-    gains : [V, 3]; by which the light of each photo was multiplied, if they are not all one.
-    """
+    """The text of `geometry.json`, the ground truth of a scene folder. By the `gains` [V, 3] the
+    light of each photo was multiplied; None: they are all one."""
     table = {
         "about": "ground truth: ground plane z = 0, boxes standing on it, spheres; z is up",
         "unit_metres": UNIT_METRES,

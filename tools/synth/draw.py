@@ -42,28 +42,15 @@ OBSERVE = Kernel(
 
 
 class Observed(NamedTuple):
-    """Which views observe candidates for sparse points.
+    """Which views observe candidates for sparse points."""
 
-    Attributes
-    ----------
-    counts : uint32[N], views of each.
-    views : uint32[N, MOST_OBSERVATIONS]; the first `counts` of a row, in no order.
-    colours : uint8[N, 3], of those with two or more views.
-    """
-
-    counts: NDArray[np.uint32]
-    views: NDArray[np.uint32]
-    colours: NDArray[np.uint8]
+    counts: NDArray[np.uint32]  # [N], views of each
+    views: NDArray[np.uint32]  # [N, MOST_OBSERVATIONS]; the first `counts` of a row, in no order
+    colours: NDArray[np.uint8]  # [N, 3], of those with two or more views
 
 
 class DeviceCity:
-    """A city in the memory of a device.
-
-    Parameters
-    ----------
-    device : an open device.
-    paints : the city and its colours.
-    """
+    """A city in the memory of a device; `paints` knows the city and its colours."""
 
     def __init__(self, device: Device, paints: Texture) -> None:
         self.device, city = device, paints.city
@@ -124,11 +111,9 @@ def grid_of(city: City) -> tuple[NDArray[np.float64], tuple[int, int], NDArray[n
                                  NDArray[np.uint32], NDArray[np.float64]]:
     """The lists of the solids over each cell of a grid over x and y.
 
-    Returns
-    -------
-    The low corner (x, y) of the grid, the width of a cell and the highest top [4]; the number of
-    cells along x and y; where the list of each cell begins [cells + 1], row by row of y; the
-    primitives [M] in the lists; and the highest top [cells] over each cell, -1 over empty ones.
+    Returns the low corner (x, y) of the grid, the width of a cell and the highest top [4]; the
+    number of cells along x and y; where the list of each cell begins [cells + 1], row by row of y;
+    the primitives [M] in the lists; and the highest top [cells] over each cell, -1 over empty ones.
     """
     bounds = city.bounds + SLACK * np.array([[-1], [1]])
     low = bounds[:, 0, :2].min(axis=0)

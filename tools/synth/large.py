@@ -32,19 +32,12 @@ GPS_NOISE = (1.0, 1.0, 2.0)  # metres, standard deviations to the east, to the n
 
 
 class Survey(NamedTuple):
-    """What `synthesise_large` made.
+    """What `synthesise_large` made."""
 
-    Attributes
-    ----------
-    blocks : of the city along x and y.
-    pixel : world units on the ground of a pixel of a nadir photo.
-    overlap : of neighbouring nadir photos on the ground, a share of their sides.
-    solids, points, observations : how many there are.
-    """
-
-    blocks: tuple[int, int]
-    pixel: float
-    overlap: float
+    blocks: tuple[int, int]  # of the city along x and y
+    pixel: float  # world units on the ground of a pixel of a nadir photo
+    overlap: float  # of neighbouring nadir photos on the ground, a share of their sides
+    # how many there are
     solids: int
     points: int
     observations: int

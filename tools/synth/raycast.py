@@ -73,19 +73,11 @@ def _meet_sphere(sphere: NDArray[np.float64], origin: NDArray[np.float64],
 def _nearest(city: City, origins: NDArray[np.float64], directions: NDArray[np.float64],
              places: NDArray[np.float64], rectangles: NDArray[np.float64]
              ) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
-    """The nearest solid that each ray meets.
+    """The nearest solid that each ray meets: the ray parameter [N] and the primitive [N], see
+    `cast`.
 
-    Parameters
-    ----------
-    city : the solids.
-    origins : [N, 3], world.
-    directions : [N, 3], world.
-    places : [N, 2]; the points of the rays in a plane to which each of them projects.
-    rectangles : [P, 2, 2]; the bounds of each solid in that plane.
-
-    Returns
-    -------
-    The ray parameter [N] and the primitive [N], see `cast`.
+    Rays have origins and directions [N, 3], world. `places` [N, 2] are the points of the rays in a
+    plane to which each of them projects, `rectangles` [P, 2, 2] the bounds of each solid in it.
     """
     nearest = np.full(len(places), NO_HIT)
     primitive = np.full(len(places), -1)
@@ -109,12 +101,8 @@ def _nearest(city: City, origins: NDArray[np.float64], directions: NDArray[np.fl
 
 def cast(city: City, camera: Camera, pixels: NDArray[np.float64]
          ) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
-    """What a camera sees at pixel coordinates [N, 2].
-
-    Returns
-    -------
-    The world points [N, 3], not finite in the sky, and the primitives [N]: -1 for the sky, 0 for
-    the ground, then the boxes, then the spheres.
+    """What a camera sees at pixel coordinates [N, 2]: the world points [N, 3], not finite in the
+    sky, and the primitives [N]: -1 for the sky, 0 for the ground, then the boxes, then the spheres.
     """
     inside = (pixels - camera.centre) / camera.focal
     directions = np.column_stack([inside, np.ones(len(pixels))]) @ camera.rotation

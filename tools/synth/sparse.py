@@ -23,21 +23,14 @@ MOST_NOISE = 3  # standard deviations
 
 
 class Sparse(NamedTuple):
-    """Sparse points and where they were seen.
+    """Sparse points and where they were seen."""
 
-    Attributes
-    ----------
-    points : float64[N, 3], world, with noise.
-    colours : uint8[N, 3].
-    point, view : int32[M]; of each observation, sorted by point.
-    pixels : float64[M, 2]; of each observation, with noise.
-    """
-
-    points: NDArray[np.float64]
-    colours: NDArray[np.uint8]
+    points: NDArray[np.float64]  # [N, 3], world, with noise
+    colours: NDArray[np.uint8]  # [N, 3]
+    # of M observations, sorted by point
     point: NDArray[np.int32]
     view: NDArray[np.int32]
-    pixels: NDArray[np.float64]
+    pixels: NDArray[np.float64]  # [M, 2], with noise
 
 
 def observe_on(drawn: DeviceCity, city: City, cameras: Sequence[Camera], count: int, seed: int = 0

@@ -51,16 +51,11 @@ def survey(city: City, views: int, width: int, height: int, seed: int = 0) -> li
 
 def fly(city: City, views: int, width: int, height: int, pixel: float, seed: int = 0
         ) -> list[Camera]:
-    """The cameras of a large survey in the order of the flight: strips of nadir views, then strips
-    of obliques.
+    """The cameras of a large survey of so many views in the order of the flight: strips of nadir
+    views, then strips of obliques.
 
-    Parameters
-    ----------
-    city : the solids.
-    views : the number of photos.
-    width, height : of a photo, pixels.
-    pixel : world units on the ground of a pixel of a nadir view, from which the altitude follows.
-    seed : of the tilts of cameras and the like.
+    A `pixel` of a nadir view has so many world units on the ground, from which the altitude
+    follows; the `seed` is that of the tilts of cameras and the like.
     """
     rng = np.random.default_rng([seed, 3])
     nadir = round(views * NADIR_SHARE_LARGE)
@@ -168,10 +163,8 @@ def observe(city: City, cameras: Sequence[Camera], seed: int = 0
 
     Points are dense in the middle and become sparse towards the border, as in a real survey.
 
-    Returns
-    -------
-    The points [N, 3], world, with noise; and for each observation its point [M], its view [M] and
-    its pixel [M, 2], sorted by point. Every point has at least two observations.
+    Returns the points [N, 3], world, with noise; and for each observation its point [M], its view
+    [M] and its pixel [M, 2], sorted by point. Every point has at least two observations.
     """
     rng = np.random.default_rng([seed, 4])
     count = POINTS_PER_BLOCK * city.blocks[0] * city.blocks[1]

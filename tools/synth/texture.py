@@ -51,13 +51,8 @@ def _to_street(coordinate: NDArray[np.float64], count: int) -> NDArray[np.float6
 
 
 class Texture:
-    """The colours of one city; `albedo` is a pure function of the surface point.
-
-    Parameters
-    ----------
-    city : the solids.
-    detail : world units, the size of the finest features; 0: those of the default survey.
-    """
+    """The colours of one city; `albedo` is a pure function of the surface point. `detail` is the
+    size of the finest features, world units; 0: those of the default survey."""
 
     def __init__(self, city: City, detail: float = 0.0) -> None:
         rng = np.random.default_rng([city.seed, 2])
@@ -121,14 +116,8 @@ class Texture:
 
     def albedo(self, primitive: NDArray[np.integer], points: NDArray[np.float64],
                normals: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Colours [N, 3], 0 to 1, of surface points.
-
-        Parameters
-        ----------
-        primitive : [N]; 0 for the ground, then boxes, then spheres.
-        points : [N, 3], world.
-        normals : [N, 3], world.
-        """
+        """Colours [N, 3], 0 to 1, of surface points and their normals [N, 3], world, on primitives
+        [N]: 0 for the ground, then boxes, then spheres."""
         colour = np.empty_like(points)
         boxes = len(self.city.boxes)
         on = primitive == 0
