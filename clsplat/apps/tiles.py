@@ -103,7 +103,7 @@ def write_tiles(folder: Path, gaussians: Gaussians, georeference: Georeference |
         """Write a tile, those below which are written."""
         content = selected(gaussians, tile.rows) if not tile.below else decimated(merged([
             child.content or selected(gaussians, child.rows) for child in tile.below]), limit)
-        low, high = _corners(content)
+        low, high = corners(content)
         for child in tile.below:
             low, high = np.minimum(low, child.low), np.maximum(high, child.high)
             child.content = None
@@ -157,7 +157,7 @@ def placement(offset: NDArray[np.float64], georeference: Georeference | None
     return matrix
 
 
-def _corners(gaussians: Gaussians) -> Corners:
+def corners(gaussians: Gaussians) -> Corners:
     """The corners [3] of the box around gaussians, to REACH times their standard deviations."""
     reach = REACH * np.linalg.norm(half_axes(gaussians), axis=2)
     positions = gaussians.positions.astype(np.float64)

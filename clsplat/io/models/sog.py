@@ -8,7 +8,7 @@ the harmonics of all gaussians are chosen from a palette.
 import json
 import warnings
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -44,6 +44,8 @@ PALETTE_COLUMNS = 64
 FEWEST_COLOURS, MOST_COLOURS, GAUSSIANS_A_COLOUR = 1024, 1 << 13, 32
 SMALLEST_SPAN = 1e-12
 CODEBOOK, CODEBOOK_ROUNDS = 256, 30
+# of a palette; said once, as a context would hold for all threads and end in the midst of others
+warnings.filterwarnings("ignore", "One of the clusters is empty", UserWarning)
 PALETTE_ROUNDS, MOST_SAMPLED = 3, 1 << 18
 
 
@@ -53,7 +55,16 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
     They are sorted along a curve in space. Of the comments, only whether the model is antialiased
     has a place.
     """
-    rows, origin = stored.stored_rows(gaussians, along_curve=True)
+    with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
+        for name, content in sog_files(gaussians, notes, along_curve=True):
+            archive.writestr(zipfile.ZipInfo(name, DATE), content)
+
+
+def sog_files(gaussians: Gaussians, notes: Notes, along_curve: bool
+              ) -> Iterator[tuple[str, bytes]]:
+    """The name and the content of each file of a SOG, which a zip or a folder has; the gaussians
+    are sorted along a curve in space, or stay in order."""
+    rows, origin = stored.stored_rows(gaussians, along_curve)
     logarithms = np.sign(rows["positions"]) * np.log1p(np.abs(rows["positions"]))
     low, high = ((logarithms.min(axis=0), logarithms.max(axis=0)) if gaussians.count
                  else np.zeros((2, 3)))
@@ -77,11 +88,10 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
             "antialias": notes.antialiased,
             **{part: {**record, "files": TEXTURES[part]} for part, (record, _) in parts.items()},
             **({ORIGIN: origin.tolist()} if origin.any() else {})}
-    with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
-        archive.writestr(zipfile.ZipInfo(META, DATE), json.dumps(meta))
-        for part, (_, textures) in parts.items():
-            for name, texture in zip(TEXTURES[part], textures):
-                archive.writestr(zipfile.ZipInfo(name, DATE), encode_webp(texture))
+    yield META, json.dumps(meta).encode()
+    for part, (_, textures) in parts.items():
+        for name, texture in zip(TEXTURES[part], textures):
+            yield name, encode_webp(texture)
 
 
 def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> tuple[Gaussians, Notes]:
@@ -214,9 +224,7 @@ def _palette(rows: NDArray[np.floating], most: int) -> tuple[NDArray[np.float32]
     values = rows.astype(np.float32)
     sample = values[::-(-len(values) // MOST_SAMPLED)]
     first = sample[np.linspace(0, len(sample) - 1, min(most, len(sample))).astype(int)]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a cluster may have become empty
-        centres, _ = scipy.cluster.vq.kmeans2(sample, first, PALETTE_ROUNDS, minit="matrix")
+    centres, _ = scipy.cluster.vq.kmeans2(sample, first, PALETTE_ROUNDS, minit="matrix")
     return centres, scipy.cluster.vq.vq(values, centres)[0]
 
 
