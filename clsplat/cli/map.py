@@ -1,4 +1,4 @@
-"""`clsplat map`: the orthophoto, the surface model and the contour lines of a run."""
+"""`clsplat map`: the orthophoto, the surface, the terrain and the contour lines of a run."""
 
 from pathlib import Path
 
@@ -20,18 +20,22 @@ MOST_UNSURE = 0.1  # of the heights, without a warning
               help="Extent in the coordinates of the map; default: all that is covered.")
 @click.option("--contours", type=FiniteRange(0), help="Height between contour lines, in the same "
               "unit; 0: none. Default: about 15 lines.")
+@click.option("--terrain", type=FiniteRange(0, min_open=True), metavar="WIDTH",
+              help="Write the terrain as well: the ground without objects up to WIDTH wide, in the "
+              "same unit, such as the widest building.")
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier map.")
 @moved_scene_flag
 @device_flag
 def map_command(run: Path, output: Path, resolution: float | None,
                 bounds: tuple[float, float, float, float] | None,
-                contours: float | None, overwrite: bool,
+                contours: float | None, terrain: float | None, overwrite: bool,
                 scene: Path | None, device: str) -> None:
     """Draw RUN from straight above, as a map.
 
     Writes a true orthophoto and a surface model as GeoTIFF, contour lines as GeoJSON, a preview
-    and a record. Alpha is 0 in holes, and where fewer than two photos show the
-    place. Heights that the model is unsure of are left out of the surface.
+    and a record; with --terrain also the ground without buildings and trees. Alpha is 0 in holes,
+    and where fewer than two photos show the place. Heights that the model is unsure of are left
+    out of the surface.
     """
     from dataclasses import replace
 
@@ -53,13 +57,16 @@ def map_command(run: Path, output: Path, resolution: float | None,
         progress.phase("opening the device")
         chosen = choose_device(device)
         record = write_map(opened, data, grid, chosen, output, interval=contours,
-                           follow=bounds is None, progress=progress)
+                           terrain=terrain, follow=bounds is None, progress=progress)
     unit = "m" if place is not None else "scene units"
     low, high = record["heights"]
     click.echo(f"{output}: {record['columns']:,} x {record['rows']:,} pixels of "
                f"{record['resolution']:g} {unit}, {record['covered']:.0%} covered, "
                f"{record['pits']:,} unsure heights left out, 98% of the heights "
                f"{low:.2f} to {high:.2f} {unit}, {record['crs'] or 'no georeference'}")
+    if "terrain" in record:
+        click.echo(f"{output}: {record['terrain']['ground']:.0%} of the surface is ground; the "
+                   "terrain beneath the rest is interpolated")
     for line in sentences(record, unit):
         click.echo(f"{output}: {line}")
     known = record["covered"] * record["columns"] * record["rows"]
