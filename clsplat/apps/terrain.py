@@ -20,8 +20,10 @@ CELLS = 36  # along the widest object
 SLOPE = 0.15  # rise over run of the ground; what is steeper over a window is an object
 ABOVE = 0.5  # cells above or below the terrain, within which the surface is ground
 ABOVE_SLOPE = 1.25  # cells more for each unit of slope of the terrain
-PIT, PIT_WIDTH = 5.0, 3  # cells: what is deeper and narrower is a wrong height
-MOST_CELLS = 4096  # along a side
+PIT, PIT_WIDTH = 0.5, 5  # cells: what is deeper and narrower is a wrong height, not ground
+SMOOTHING = 3.0  # cells, before a slope is taken
+MOST_CELLS = 2048  # along a side
+PRECISION, MOST_STEPS = 1e-4, 300  # of the membranes over gaps
 LEAST_PIXELS = 4  # along the widest object
 
 Heights = NDArray[np.float64]  # [H, W], nan: unknown
@@ -79,12 +81,16 @@ def terrain_of(heights: Heights, cell: float, width: float) -> tuple[Heights, He
     cell : the side of a pixel.
     width : of the widest object, in the same unit.
     """
-    known = np.isfinite(heights)
-    surface = filled(heights, known)
+    known, widest = np.isfinite(heights), max(1, math.ceil(width / cell / 2))
+    surface = _nearest(heights, known)
     known &= scipy.ndimage.grey_closing(surface, PIT_WIDTH) - surface <= PIT * cell
-    opened = surface = filled(heights, known)
+    surface = _nearest(heights, known)
+    # what is unknown must not widen an object beside it: there it is as low as the ground around
+    around = scipy.ndimage.minimum_filter(
+        np.where(known, scipy.ndimage.grey_closing(surface, PIT_WIDTH), np.inf), 2 * widest + 1)
+    opened = np.where(known, surface, _nearest(around, np.isfinite(around)))
     is_object = np.zeros(known.shape, bool)
-    for radius in range(1, max(1, math.ceil(width / cell / 2)) + 1):
+    for radius in range(1, widest + 1):
         before, opened = opened, scipy.ndimage.grey_opening(opened, 2 * radius + 1)
         is_object |= before - opened > SLOPE * radius * cell
     lower = known & ~is_object
@@ -97,24 +103,30 @@ def terrain_of(heights: Heights, cell: float, width: float) -> tuple[Heights, He
 
 
 def _tolerance(terrain: Heights, cell: float, width: float) -> Heights:
-    """How far from a terrain the ground may be, by its slope."""
-    slope: Heights = np.hypot(*np.gradient(np.pad(terrain, ((0, 1), (0, 1)), "edge"), cell))
+    """How far from a terrain the ground may be, by its slope without noise."""
+    smooth = scipy.ndimage.gaussian_filter(terrain, SMOOTHING, mode="nearest")
+    slope: Heights = np.hypot(*np.gradient(np.pad(smooth, ((0, 1), (0, 1)), "edge"), cell))
     return (ABOVE + ABOVE_SLOPE * slope[:-1, :-1]) * width / CELLS
 
 
+def _nearest(heights: Heights, known: NDArray[np.bool_]) -> Heights:
+    """Heights of which those that are not known are the nearest known one."""
+    places = scipy.ndimage.distance_transform_edt(~known, return_distances=False,
+                                                  return_indices=True)
+    result: Heights = heights[tuple(places)]
+    return result
+
+
 def filled(heights: Heights, known: NDArray[np.bool_]) -> Heights:
-    """Heights with their gaps filled: linearly between the known ones around, and beyond the
-    outermost with the nearest."""
-    if known.all():
+    """Heights with their gaps filled by a membrane: each is the mean of its four neighbours."""
+    gap = ~known.ravel()
+    if not gap.any():
         return heights
-    nearest = scipy.ndimage.distance_transform_edt(~known, return_distances=False,
-                                                   return_indices=True)
-    result: Heights = heights[tuple(nearest)]
-    border = known & scipy.ndimage.binary_dilation(~known)
-    try:
-        between = scipy.interpolate.LinearNDInterpolator(np.argwhere(border), heights[border])
-    except scipy.spatial.QhullError:  # fewer than three cells, or all in one line
-        return result
-    inside = between(np.argwhere(~known))
-    result[~known] = np.where(np.isfinite(inside), inside, result[~known])
+    steps = [scipy.sparse.diags_array([-np.ones(size), np.ones(size)], offsets=[0, 1],
+                                      shape=(max(size - 1, 0), size)) for size in heights.shape]
+    rows = scipy.sparse.kronsum(*(step.T @ step for step in reversed(steps)), "csr")[gap]
+    result = _nearest(heights, known)
+    flat = result.ravel()
+    flat[gap], _ = scipy.sparse.linalg.cg(rows[:, gap], -rows[:, ~gap] @ flat[~gap], flat[gap],
+                                          rtol=PRECISION, maxiter=MOST_STEPS)
     return result

@@ -20,6 +20,7 @@ from clsplat.cli.export import export
 from clsplat.cli.film import film
 from clsplat.cli.georeference import georeference
 from clsplat.cli.map import map_command
+from clsplat.cli.measure import measure
 from clsplat.cli.mesh import mesh
 from clsplat.cli.pack import pack
 from clsplat.cli.plan import plan
@@ -151,7 +152,8 @@ def main(ctx: click.Context) -> None:
 
 
 main.add_section("Train", plan, train, evaluate, compare)
-main.add_section("Results", render, view, export, edit, map_command, mesh, film)
+main.add_section("Results", render, view, export, edit, mesh, film)
+main.add_section("Maps", map_command, measure)
 main.add_section("Large scenes", city, partition_command, block, merge)
 main.add_section("Data", sfm, georeference, pack)
 main.add_section("Machine", devices, bench, tune)
