@@ -26,6 +26,7 @@ from clsplat.cli.pack import pack
 from clsplat.cli.plan import plan
 from clsplat.cli.render import render
 from clsplat.cli.sfm import sfm
+from clsplat.cli.surveys import compare_surveys
 from clsplat.cli.train import train
 from clsplat.cli.view import view
 from clsplat.errors import ClsplatError, Interrupted
@@ -153,7 +154,7 @@ def main(ctx: click.Context) -> None:
 
 main.add_section("Train", plan, train, evaluate, compare)
 main.add_section("Results", render, view, export, edit, mesh, film)
-main.add_section("Maps", map_command, measure)
+main.add_section("Maps", map_command, measure, compare_surveys)
 main.add_section("Large scenes", city, partition_command, block, merge)
 main.add_section("Data", sfm, georeference, pack)
 main.add_section("Machine", devices, bench, tune)
