@@ -83,12 +83,14 @@ def terrain_of(heights: Heights, cell: float, width: float) -> tuple[Heights, He
     """
     known, widest = np.isfinite(heights), max(1, math.ceil(width / cell / 2))
     surface = _nearest(heights, known)
-    known &= scipy.ndimage.grey_closing(surface, PIT_WIDTH) - surface <= PIT * cell
-    surface = _nearest(heights, known)
-    # what is unknown must not widen an object beside it: there it is as low as the ground around
-    around = scipy.ndimage.minimum_filter(
-        np.where(known, scipy.ndimage.grey_closing(surface, PIT_WIDTH), np.inf), 2 * widest + 1)
-    opened = np.where(known, surface, _nearest(around, np.isfinite(around)))
+    closed = scipy.ndimage.grey_closing(surface, PIT_WIDTH)
+    pits = closed - surface > PIT * width / CELLS
+    # the lowest ground around, to which pits are lifted; and what is unknown is as low, as it must
+    # not widen an object beside it
+    around = scipy.ndimage.minimum_filter(np.where(known, closed, np.inf), 2 * widest + 1)
+    opened = np.where(known, np.where(pits, np.maximum(surface, around), surface),
+                      _nearest(around, np.isfinite(around)))
+    known &= ~pits
     is_object = np.zeros(known.shape, bool)
     for radius in range(1, widest + 1):
         before, opened = opened, scipy.ndimage.grey_opening(opened, 2 * radius + 1)

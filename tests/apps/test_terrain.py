@@ -39,9 +39,9 @@ def test_a_city_is_taken_off_its_ground(slope):
     shown, ground, is_ground, is_building = surveyed(slope)
     terrain, tolerance = terrain_of(shown, PIXEL, WIDTH)
     error, found = np.abs(terrain - ground), within(terrain, tolerance, shown)
-    assert np.median(error) < 0.2 and np.quantile(error, 0.95) < 0.5, "metres"
-    assert np.sqrt(np.mean(error**2)) < 0.3
-    assert found[is_ground].mean() > 0.985 and (~found[is_building]).mean() > 0.999
+    assert np.median(error) < 0.15 and np.quantile(error, 0.95) < 0.4, "metres"
+    assert np.sqrt(np.mean(error**2)) < 0.2
+    assert found[is_ground].mean() > 0.98 and (~found[is_building]).mean() > 0.999
 
 
 def test_what_is_wider_than_the_widest_object_stays():
@@ -59,11 +59,30 @@ def test_a_pit_and_what_is_unknown_make_no_hole_in_the_terrain():
     assert np.abs(terrain - 7).max() < 1e-9
 
 
+def test_a_house_beside_what_is_unknown_is_no_ground():
+    """As if the map went on beneath it: a ramp from the roof down would be wider than any house."""
+    heights = np.full((120, 120), 7.0)
+    heights[40:60, 40:70] = 15
+    heights[60:95, 30:80] = np.nan
+    terrain, tolerance = terrain_of(heights, 1.0, 36.0)
+    known = np.isfinite(heights)
+    assert np.abs(terrain - 7)[known].max() < 0.05
+    assert (within(terrain, tolerance, heights) == (heights == 7))[known].all()
+
+
+def test_small_pits_of_a_model_do_not_pull_the_terrain_down():
+    rng, heights = np.random.default_rng(0), np.full((150, 150), 7.0)
+    for row, column in rng.integers(0, 146, (120, 2)):
+        heights[row:row + 3, column:column + 3] = 7 - rng.uniform(1, 4)
+    terrain, _ = terrain_of(heights, 1.0, 36.0)
+    assert np.quantile(np.abs(terrain - 7), 0.95) < 0.3
+
+
 def test_gaps_are_filled_linearly():
     y, x = np.mgrid[:40, :50].astype(float)
     plane, known = 3 * x - 2 * y, np.ones(x.shape, bool)
     known[5:30, 8:40] = False
-    assert np.abs(filled(np.where(known, plane, np.nan), known) - plane).max() < 1e-2
+    assert np.abs(filled(np.where(known, plane, np.nan), known) - plane).max() < 0.1
     known[:] = False
     known[4, 7] = True
     assert (filled(np.where(known, plane, np.nan), known) == plane[4, 7]).all()
