@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from clsplat.apps.measure import measure
+from clsplat.evaluation.run import Run
 from clsplat.io.georeference.crs import on_ground
 from clsplat.io.georeference.geojson import read_features
+from tests.apps.test_map import run_of
 from tests.command_line import clsplat_
+from tests.data import ground_model as made
 from tests.data.surfaces import (
     CRS,
     HEAP_VOLUME,
@@ -192,6 +195,25 @@ def test_the_command_writes_json_csv_and_a_table(surfaces, tmp_path):
     assert profile[-1]["feature"] == "2" and float(profile[-1]["distance"]) == 20
     again = clsplat_(*words)
     assert again.exit_code == 2 and "--overwrite" in again.output
+
+
+def test_a_run_is_drawn_first_and_the_folder_of_a_map_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene()))
+    middle = (made.OFFSET + made.UTM.offset)[:2]
+    shapes = write_features(tmp_path / "f.json", feature("Polygon", [square(5, middle)], "house"))
+    for folder in ("run", "map"):
+        (tmp_path / folder).mkdir()
+    assert clsplat_("map", "run", "-o", tmp_path / "map", "--resolution", 0.1).exit_code == 0
+    volumes = []
+    for name in ("run", "map"):
+        output = tmp_path / f"{name}_measured"
+        result = clsplat_("measure", tmp_path / name, "--geojson", shapes, "-o", output)
+        assert result.exit_code == 0, result.output
+        record = json.loads((output / "measurements.json").read_text())
+        assert record["surface"] == str(tmp_path / name)
+        volumes.append(record["features"][0]["volume"])
+    house = (2 * made.HOUSE + 2 * 1.4 * made.SPACING)**2 * made.ROOF
+    assert abs(volumes[0] / volumes[1] - 1) < 0.02 and abs(volumes[0] / house - 1) < 0.1
 
 
 def out_of_degrees(x, y):
