@@ -32,6 +32,7 @@ FILES = RECORD, TABLE, PROFILES
 BASES = "fit", "lowest", "mean"  # of a plane through the border of a polygon
 SMOOTHING = 4.0  # pixels along a profile: noise of single pixels makes no way longer
 MOST_SIDE = 2048  # pixels of a feature
+MOST_STEPS = 1_000_000  # pixels along a line or a border
 CROSSING = 0.02  # of the area: by how much it may differ from that of the pixels within
 
 Profile = NDArray[np.float64]  # [N, 4]: distance from the beginning, x, y, height
@@ -89,6 +90,10 @@ def _around(path: Path, feature: Feature) -> Surface:
         surface = read_surface(path, feature.bounds, MOST_SIDE)
     except InputError as error:
         raise InputError(f"{feature.name}: {error}") from None
+    way = sum(float(along(line, np.inf)[-1, 0]) for line in feature.lines)
+    if way > MOST_STEPS * surface.grid.resolution:
+        raise InputError(f"{feature.name}: is {way:.3g} {surface.unit} long, far more than {path}; "
+                         "draw it within what the map covers")
     if not np.isfinite(surface.heights).any():
         raise InputError(f"{feature.name}: {path} has no heights there; draw it within what the "
                          "map covers")
@@ -98,7 +103,7 @@ def _around(path: Path, feature: Feature) -> Surface:
 def along(line: Line, step: float) -> Profile:
     """Places along a line at about this step, with nan for heights."""
     distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    steps = np.linspace(0, distance[-1], math.ceil(distance[-1] / step) + 1)
+    steps = np.linspace(0, distance[-1], max(1, math.ceil(distance[-1] / step)) + 1)
     return np.column_stack([steps, *(np.interp(steps, distance, values) for values in line.T),
                             np.full(len(steps), np.nan)])
 
@@ -139,9 +144,14 @@ def _polygon(surface: Surface, feature: Feature, base: str | float) -> dict[str,
     rise = (heights - away @ plane) * shares * surface.grid.resolution**2
     return {"area": area_of(feature), "lowest": heights.min(),
             "mean": np.average(heights, weights=shares), "highest": heights.max(),
-            "known": shares.sum() / weights.sum(), "base_height": plane[2],
+            "known": _share(shares, surface, feature), "base_height": plane[2],
             "base_slope": np.hypot(*plane[:2]), "above": rise[rise > 0].sum(),
             "below": -rise[rise < 0].sum(), "volume": rise.sum()}
+
+
+def _share(weights: NDArray[np.float64], surface: Surface, feature: Feature) -> float:
+    """The share of a polygon that pixels with weights are."""
+    return min(1.0, float(weights.sum()) * surface.grid.resolution**2 / area_of(feature))
 
 
 def _base(surface: Surface, feature: Feature, base: str | float, middle: NDArray[np.float64]
@@ -217,7 +227,7 @@ def _change(change: Surface, feature: Feature, stable: NDArray[np.float64]) -> d
     sure = np.abs(change.heights[known]) > DETECTION * nmad(stable)
     return {"fill": volume[sure & (volume > 0)].sum(), "cut": -volume[sure & (volume < 0)].sum(),
             "net": volume.sum(), "net_noise": noise_of(stable, pixel, area_of(feature)),
-            "compared": weights[known].sum() * pixel**2 / area_of(feature)}
+            "compared": _share(weights[known], change, feature)}
 
 
 def write_measurements(measured: Measurements, folder: Path) -> None:

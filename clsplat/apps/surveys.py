@@ -135,13 +135,15 @@ def _smooth(heights: Heights, pixels: float) -> Heights:
     return np.where(known, total / np.maximum(weight, 1e-9), np.nan)
 
 
-def write_comparison(first: Path, second: Path, folder: Path) -> dict[str, Any]:
+def write_comparison(first: Path, second: Path, folder: Path,
+                     names: tuple[str, str] | None = None) -> dict[str, Any]:
     """Align a later surface to an earlier one, and write FILES into a folder.
 
     Parameters
     ----------
     first, second : surfaces as GeoTIFF, of the earlier and the later survey.
     folder : created if it is missing.
+    names : of the two in RECORD; None: their paths.
 
     Returns
     -------
@@ -161,8 +163,9 @@ def write_comparison(first: Path, second: Path, folder: Path) -> dict[str, Any]:
     stable = np.isfinite(difference) & ~grown & ~gone & (steepness < len(SLOPES))
     noise = nmad(difference[stable])
     record = plain({
-        "before": str(first), "after": str(second), "crs": early.crs, "unit": early.unit,
-        "pixel": pixel, "shift": dict(zip(("east", "north", "up"), alignment.shift)),
+        **dict(zip(("before", "after"), names or (str(first), str(second)))),
+        "crs": early.crs, "unit": early.unit, "pixel": pixel,
+        "shift": dict(zip(("east", "north", "up"), alignment.shift)),
         "horizontal_shift_found": alignment.horizontal,
         "compared": np.isfinite(difference).mean(), "stable": stable.sum() * pixel**2,
         "noise": noise, "level_of_detection": DETECTION * noise,

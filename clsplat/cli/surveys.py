@@ -25,7 +25,7 @@ def compare_surveys(before: Path, after: Path, output: Path, overwrite: bool, de
     for name in FILES:
         check_free(output / name, overwrite)
     with surface_file(before, None, device) as early, surface_file(after, None, device) as late:
-        record = write_comparison(early, late, output)
+        record = write_comparison(early, late, output, (str(before), str(after)))
     unit, shift = "m" if record["crs"] else "units", record["shift"]
     click.echo(f"{output}: moved by {shift['east']:.3f} to the east, {shift['north']:.3f} to the "
                f"north and {shift['up']:.3f} {unit} up; {record['compared']:.0%} compared")

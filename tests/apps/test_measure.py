@@ -21,6 +21,7 @@ from tests.data.surfaces import (
     MIDDLE,
     PIXEL,
     RADIUS,
+    SIDE,
     TOP,
     circle,
     feature,
@@ -62,6 +63,7 @@ def test_the_volume_of_a_heap_on_a_slope(surfaces):
     assert abs(row["base_height"] - 50) < 0.02
     assert abs(row["highest"] - 50 - HEIGHT) < 5 * NOISE and row["lowest"] < 49.4
     assert abs(row["volume"] - (row["above"] - row["below"])) < 1e-6
+    assert row["below"] < 0.005 * HEAP_VOLUME, "the base slopes as the ground does"
 
 
 @pytest.mark.parametrize("base, level", [("lowest", 49.25), ("mean", 50), (48.5, 48.5)])
@@ -104,6 +106,7 @@ def test_lengths_along_a_ramp_and_its_profile(tmp_path):
     profile = result.profiles[1]
     assert profile[0, 0] == 0 and abs(profile[-1, 0] - 41) < 1e-6
     assert np.allclose(profile[0, 1:3], line[0]) and np.allclose(profile[-1, 1:3], line[2])
+    assert abs(result.profiles[2][-1, 0] - 41) < 1e-6, "parts follow each other"
     on_ramp = profile[:, 0] < 31
     rise = profile[on_ramp, 3] - (10 + 0.75 * (profile[on_ramp, 0] - 20))
     assert np.abs(rise).max() < 5 * NOISE and abs(rise.mean()) < 0.01
@@ -121,6 +124,7 @@ def test_what_came_and_went_since(surfaces):
     assert abs(record["level_of_detection"] / record["noise"] - 1.96) < 1e-9
     assert abs(came["fill"] / HEAP_VOLUME - 1) < 0.02 and came["cut"] < 0.005 * HEAP_VOLUME
     assert abs(came["net"] / HEAP_VOLUME - 1) < 0.02 and came["compared"] > 0.99
+    assert none["fill"] + none["cut"] < 0.4, "1.2 without the level of detection"
     assert abs(none["net"]) < 5 * none["net_noise"] < 1
     gone = measured(early, folder, heap_only, before=late).record["features"][0]
     assert abs(gone["cut"] / HEAP_VOLUME - 1) < 0.02 and gone["net"] < -0.98 * HEAP_VOLUME
@@ -163,6 +167,14 @@ def test_unknown_heights_are_stated_and_local_coordinates_read(tmp_path):
     assert record["unit"] == "scene units" and abs(area["known"] - 0.5) < 0.01
     assert abs(area["volume"] - 200) < 1 and abs(way["known"] - 0.5) < 0.02
     assert abs(way["surface_length"] - 20) < 1e-6
+
+
+def test_a_polygon_beyond_the_map_has_a_share_that_is_known(surfaces):
+    late, early, folder = surfaces
+    half = feature("Polygon", [square(10, MIDDLE + (PIXEL * SIDE / 2, 0))])
+    row, = measured(late, folder, half, before=early, base=0.0).record["features"]
+    assert abs(row["known"] - 0.5) < 0.01 and abs(row["compared"] - 0.5) < 0.01
+    assert abs(row["area"] - 400) < 1e-6
 
 
 def test_a_map_larger_than_memory_is_measured_in_coarser_pixels(tmp_path, monkeypatch):
@@ -220,7 +232,7 @@ def out_of_degrees(x, y):
     return [[x, y], [x + 1, y], [x + 1, y + 1], [x, y]]
 
 
-BOW = [[LEFT + 10, TOP - 10], [LEFT + 30, TOP - 30], [LEFT + 30, TOP - 10], [LEFT + 10, TOP - 30],
+BOW = [[LEFT + 10, TOP - 10], [LEFT + 30, TOP - 30], [LEFT + 30, TOP - 14], [LEFT + 15, TOP - 30],
        [LEFT + 10, TOP - 10]]
 HOSTILE = {
     "no features": ({"type": "FeatureCollection", "features": []}, "no features"),
@@ -249,6 +261,9 @@ HOSTILE = {
     "degrees beyond the map": (feature("Polygon", [out_of_degrees(-170, -89)]), "feature 1"),
     "crosses itself": (feature("Polygon", [BOW], "bow"), "bow: its border crosses itself"),
     "without an area": (feature("Polygon", [[BOW[0], BOW[1], BOW[0], BOW[0]]]), "no area"),
+    "a line that leaves the earth": (feature("LineString", [list(MIDDLE), [1e99, 1e99]], "way"),
+                                    "way: is 1.41e+99 m long"),
+    "a vast polygon": (feature("Polygon", [square(1e50)]), "feature 1: is 8e+50 m long"),
     "an unknown system": ({**feature("Polygon", [square(5)]), "crs": {
         "type": "name", "properties": {"name": "EPSG:1"}}}, "coordinate reference system"),
     "a system without a name": ({**feature("Polygon", [square(5)]), "crs": 7}, "no name"),

@@ -130,6 +130,20 @@ def test_the_moved_surface_is_measured_against_the_earlier(surveys, tmp_path):
     assert abs(rows[0]["net"] / fill - 1) < 0.02 and abs(rows[1]["cut"] / cut - 1) < 0.02
 
 
+def test_the_command_reads_folders_of_maps(surveys, tmp_path):
+    before, after, _, record = surveys
+    for name, path in (("old", before), ("new", after)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "surface.tif").symlink_to(path)
+    words = "compare-surveys", tmp_path / "old", tmp_path / "new", "-o", tmp_path / "c"
+    result = clsplat_(*words)
+    assert result.exit_code == 0 and "moved by 0.37" in result.output, result.output
+    found = json.loads((tmp_path / "c" / "comparison.json").read_text())
+    assert found == {**record, "before": str(words[1]), "after": str(words[2])}
+    again = clsplat_(*words)
+    assert again.exit_code == 2 and "--overwrite" in again.output
+
+
 def test_level_ground_shows_no_shift_along_it(tmp_path):
     x, _ = places(side=200)
     before, after = (write_surface(tmp_path / f"{seed}.tif", noisy(0 * x + 50 + seed, seed))

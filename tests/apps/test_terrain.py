@@ -61,9 +61,9 @@ def test_a_pit_and_what_is_unknown_make_no_hole_in_the_terrain():
 
 def test_a_house_beside_what_is_unknown_is_no_ground():
     """As if the map went on beneath it: a ramp from the roof down would be wider than any house."""
-    heights = np.full((120, 120), 7.0)
-    heights[40:60, 40:70] = 15
-    heights[60:95, 30:80] = np.nan
+    heights = np.full((140, 120), 7.0)
+    heights[30:60, 30:90] = 15
+    heights[60:100, 30:90] = np.nan
     terrain, tolerance = terrain_of(heights, 1.0, 36.0)
     known = np.isfinite(heights)
     assert np.abs(terrain - 7)[known].max() < 0.05
