@@ -7,13 +7,15 @@ coordinate reference system (CRS) as other programs read it.
 
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rasterio
+import rasterio.features
 import rasterio.shutil
 from numpy.typing import NDArray
 from rasterio._err import CPLE_BaseError
@@ -21,12 +23,16 @@ from rasterio.enums import Resampling
 from rasterio.errors import CRSError, RasterioError
 from rasterio.windows import Window
 
-from clsplat.apps.map_grid import TILE, MapGrid
+from clsplat.apps.map_grid import TILE, Bounds, MapGrid
 from clsplat.errors import InputError, reason
+from clsplat.io.georeference.crs import has_metres, heights_of, normal_crs, pyproj_crs
 
 CACHE_MIB = 64  # of GDAL, which takes 5 % of the memory otherwise
 GDAL_ERRORS = RasterioError, CRSError, CPLE_BaseError
 Place = tuple[int, int]  # of a tile: column, row
+NORTH_UP = 1e-6  # of a pixel: how much less square or more turned it may be
+MOST_SIDE = 3000  # pixels of a surface in memory
+FINER = 4  # places along a side of a pixel that are inside a polygon or outside
 
 
 class Raster:
@@ -101,6 +107,120 @@ class Raster:
 
     def _at(self, level: int) -> Any:
         return rasterio.open(self._path, **({"overview_level": level - 1} if level else {}))
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Heights of a map, or of a part of it, in memory.
+
+    Attributes
+    ----------
+    path : of the file.
+    grid : where the pixels lie.
+    heights : float64[rows, columns], map units; nan: unknown.
+    crs : as `normal_crs` returns it; None: the coordinates are local.
+    """
+
+    path: Path
+    grid: MapGrid
+    heights: NDArray[np.float64]
+    crs: str | None
+
+    @property
+    def unit(self) -> str:
+        """Of lengths and heights, in messages."""
+        return "m" if self.crs else "scene units"
+
+    def slices(self, bounds: Bounds) -> tuple[slice, slice]:
+        """The rows and the columns with (left, bottom, right, top), and a pixel more; perhaps
+        none."""
+        sides = self.grid.pixels([bounds[::3], bounds[2:0:-1]]) + [[-1], [2]]
+        (left, top), (right, bottom) = np.clip(
+            sides, 0, (self.grid.columns, self.grid.rows)).astype(int).tolist()
+        return slice(top, bottom), slice(left, right)
+
+    def within(self, bounds: Bounds) -> "Surface":
+        """The part of `slices`."""
+        rows, columns = self.slices(bounds)
+        size = self.grid.resolution
+        grid = replace(self.grid, left=self.grid.left + columns.start * size,
+                       top=self.grid.top - rows.start * size, rows=rows.stop - rows.start,
+                       columns=columns.stop - columns.start)
+        return replace(self, grid=grid, heights=self.heights[rows, columns])
+
+
+def read_surface(path: Path, bounds: Bounds | None = None, most: int = MOST_SIDE) -> Surface:
+    """Read the first band of a raster as heights.
+
+    Parameters
+    ----------
+    path : a GeoTIFF whose pixels are square and north up, and whose CRS, if it has one, has metres.
+    bounds : (left, bottom, right, top) of the part to read, which two pixels more are added to;
+        None: the whole raster.
+    most : pixels along a side; of a larger part, means of 2 x 2, 4 x 4, ... pixels are read.
+    """
+    try:
+        with bounded_memory(), rasterio.open(path) as file:
+            crs, size = _checked(path, file), file.transform.a
+            whole = MapGrid(np.eye(3), np.zeros(3), file.transform.c, file.transform.f, size,
+                            file.width, file.height, math.inf)
+            sides = np.array([[0, 0], [file.width, file.height]], np.float64)
+            if bounds is not None:
+                sides = whole.pixels([bounds[::3], bounds[2:0:-1]]) + [[-2], [2]]
+            (left, top), (right, bottom) = np.clip(sides, 0, (file.width, file.height)).astype(int)
+            factor = 2**max(0, math.ceil(math.log2(max(right - left, bottom - top, 1) / most)))
+            left, top = (factor * (int(place) // factor) for place in (left, top))
+            columns, rows = int(right - left) // factor, int(bottom - top) // factor
+            if not (columns and rows):
+                raise InputError(f"{path}: the place lies beyond it; compare the coordinates with "
+                                 "those of the map")
+            heights = file.read(1, window=Window(left, top, factor * columns, factor * rows),
+                                out_shape=(rows, columns), masked=True,
+                                resampling=Resampling.average).astype(np.float64).filled(np.nan)
+            grid = replace(whole, left=whole.left + left * size, top=whole.top - top * size,
+                           resolution=size * factor, columns=columns, rows=rows)
+    except GDAL_ERRORS as error:
+        raise InputError(f"{path}: cannot be read as a GeoTIFF ({reason(error)}); give a "
+                         "surface.tif of `clsplat map`") from None
+    heights[~np.isfinite(heights)] = np.nan
+    if bounds is None and np.isnan(heights).all():
+        raise InputError(f"{path}: has no heights; make the map anew, of places that photos show")
+    return Surface(path, grid, heights, crs)
+
+
+def coverage(grid: MapGrid, parts: Sequence[Sequence[NDArray[np.float64]]]
+             ) -> NDArray[np.float64]:
+    """The share of each pixel, [rows, columns], within polygons; of each its rings [N, 2], the
+    outer one first."""
+    if not (grid.columns and grid.rows):
+        return np.zeros((grid.rows, grid.columns))
+    shapes = [{"type": "Polygon", "coordinates": [ring.tolist() for ring in part]}
+              for part in parts]
+    step = grid.resolution / FINER
+    inside = rasterio.features.geometry_mask(
+        shapes, (FINER * grid.rows, FINER * grid.columns),
+        rasterio.Affine(step, 0, grid.left, 0, -step, grid.top), invert=True)
+    shares: NDArray[np.float64] = inside.reshape(grid.rows, FINER, grid.columns, FINER).mean((1, 3))
+    return shares
+
+
+def _checked(path: Path, file: Any) -> str | None:
+    """The CRS of an open raster; InputError unless it holds heights on a map."""
+    place = file.transform
+    if file.count > 2 or file.dtypes[0] == "uint8":
+        raise InputError(f"{path}: has {file.count} bands of {file.dtypes[0]}, as pictures have, "
+                         "not heights; give a surface.tif or terrain.tif of `clsplat map`")
+    if max(abs(place.b), abs(place.d), abs(place.a + place.e)) > NORTH_UP * abs(place.a) or (
+            place.a <= 0):
+        raise InputError(f"{path}: its pixels are not square with north at the top; convert it "
+                         "with gdalwarp -tr SIZE SIZE")
+    if file.crs is None:
+        return None
+    crs = normal_crs(file.crs.to_wkt(), str(path))
+    if not has_metres(pyproj_crs(crs, str(path))) or heights_of(crs).metres != 1:
+        raise InputError(f"{path}: its coordinates or heights are not metres; convert it with "
+                         "gdalwarp -t_srs to a projected system such as EPSG:32632")
+    return crs
 
 
 @contextmanager

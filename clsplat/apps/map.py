@@ -1,4 +1,4 @@
-"""The map of a run: orthophoto and surface as GeoTIFF, contour lines and a picture, and a
+"""The map of a run: orthophoto, surface and terrain as GeoTIFF, contour lines and a picture, and a
 statement of how exact it is."""
 
 import json
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from clsplat.apps.geotiff import Raster, bounded_memory
 from clsplat.apps.map_grid import MapGrid, ground_resolution
 from clsplat.apps.orthophoto import Extent, MapPainter, extent_of
+from clsplat.apps.terrain import check_width, write_terrain
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
@@ -29,16 +30,17 @@ from clsplat.report.figures.map_preview import write_preview
 from clsplat.scene import Scene
 from clsplat.training.progress import SilentProgress
 
-ORTHOPHOTO, SURFACE = "orthophoto.tif", "surface.tif"
+ORTHOPHOTO, SURFACE, TERRAIN = "orthophoto.tif", "surface.tif", "terrain.tif"
 CONTOURS, PREVIEW, RECORD = "contours.geojson", "preview.png", "map.json"
-FILES = ORTHOPHOTO, SURFACE, CONTOURS, PREVIEW, RECORD
+FILES = ORTHOPHOTO, SURFACE, TERRAIN, CONTOURS, PREVIEW, RECORD
 CONTOUR_SIDE = 3000  # pixels of the coarser raster that they are made from
 PREVIEW_SIDE = 1400  # pixels, the longer side of each of its pictures
 HEIGHTS = (0.01, 0.99)  # quantiles that the record has: single pixels may be far off
 DEGREE_DIGITS = 8  # after the point: a millimetre
 DIGITS = 9  # of heights
 COLOURS = dict.fromkeys(("red", "green", "blue", "alpha"))  # bands, without a unit
-HEIGHTS_OF = "height", "spread"
+HEIGHTS_OF, GROUND_OF = ("height", "spread"), ("height", "ground")
+BANDS = {ORTHOPHOTO: tuple(COLOURS), SURFACE: HEIGHTS_OF, TERRAIN: GROUND_OF}
 SCRATCH = ".drawing-"  # how the name of the temporary folder begins
 MOST_HALVINGS = 9  # a tile is then one pixel
 
@@ -58,7 +60,7 @@ ContourLine = tuple[float, NDArray[np.float64]]  # its height, and (column, row)
 
 
 def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Path, *,
-              interval: float | None = None, follow: bool = False,
+              interval: float | None = None, terrain: float | None = None, follow: bool = False,
               progress: SilentProgress | None = None) -> dict[str, Any]:
     """Write the map of a run into a folder; the files of an earlier map are replaced or removed.
 
@@ -69,6 +71,7 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
     device : an open device.
     folder : created if it is missing.
     interval : between contour lines, map units; None: a round number that suits; 0: none.
+    terrain : the width of the widest object that is no ground, map units; None: no terrain.
     follow : whether the bounds become those of all that the map can show.
     progress : is given what is done.
 
@@ -78,6 +81,8 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
     """
     progress = progress or SilentProgress()
     crs = scene.georeference.crs if scene.georeference else None
+    if terrain is not None:
+        check_width(terrain, grid.resolution)
     make_folder(folder)
     for killed in folder.glob(SCRATCH + "*"):
         rmtree(killed, ignore_errors=True)
@@ -96,10 +101,11 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         progress.phase("leaving out pits")
         dropped = _copy_without_pits(colours, drawn, surface)
         progress.phase("making overviews")
+        tags = {"TIFFTAG_SOFTWARE": "clsplat", **{
+            name.upper(): value if isinstance(value, str) else json.dumps(value)
+            for name, value in statement.items()}}
         for raster in (colours, surface):
-            raster.finish({"TIFFTAG_SOFTWARE": "clsplat", **{
-                name.upper(): value if isinstance(value, str) else json.dumps(value)
-                for name, value in statement.items()}})
+            raster.finish(tags)
         level = surface.level(CONTOUR_SIDE)
         heights = surface.whole(level)[..., 0]
         if not np.isfinite(heights).any():
@@ -111,7 +117,16 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         if interval:
             progress.phase("drawing contour lines")
         lines = contour_lines(heights, interval)  # first of all: there may be too many of them
-        files = [ORTHOPHOTO, SURFACE, PREVIEW]
+        files, ground = [ORTHOPHOTO, SURFACE, PREVIEW], {}  # type: list[str], dict[str, Any]
+        if terrain is not None:
+            progress.phase("finding the ground")
+            bare = Raster(Path(scratch) / "bare", grid, crs, dict(zip(GROUND_OF, (unit, None))),
+                          False)
+            ground["terrain"] = {"width": terrain,
+                                 "ground": write_terrain(surface, bare, terrain)}
+            bare.finish(tags)
+            bare.save(folder / TERRAIN)
+            files.append(TERRAIN)
         progress.phase("writing GeoTIFF files")
         colours.save(folder / ORTHOPHOTO)
         surface.save(folder / SURFACE)
@@ -129,8 +144,8 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         "columns": grid.columns, "rows": grid.rows, "bounds": grid.bounds,
         "heights": np.quantile(known, HEIGHTS).tolist(),
         "covered": float(len(known) / heights.size), "contour_interval": interval,
-        "pits": dropped, **statement,
-        "bands": {ORTHOPHOTO: list(COLOURS), SURFACE: list(HEIGHTS_OF)},
+        "pits": dropped, **ground, **statement,
+        "bands": {name: list(bands) for name, bands in BANDS.items() if name in files},
         "axes": grid.axes.tolist(), "origin": grid.origin.tolist(), "files": files}
     for name in set(FILES) - {*files, RECORD}:
         (folder / name).unlink(missing_ok=True)

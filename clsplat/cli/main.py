@@ -20,11 +20,13 @@ from clsplat.cli.export import export
 from clsplat.cli.film import film
 from clsplat.cli.georeference import georeference
 from clsplat.cli.map import map_command
+from clsplat.cli.measure import measure
 from clsplat.cli.mesh import mesh
 from clsplat.cli.pack import pack
 from clsplat.cli.plan import plan
 from clsplat.cli.render import render
 from clsplat.cli.sfm import sfm
+from clsplat.cli.surveys import compare_surveys
 from clsplat.cli.train import train
 from clsplat.cli.view import view
 from clsplat.errors import ClsplatError, Interrupted
@@ -151,7 +153,8 @@ def main(ctx: click.Context) -> None:
 
 
 main.add_section("Train", plan, train, evaluate, compare)
-main.add_section("Results", render, view, export, edit, map_command, mesh, film)
+main.add_section("Results", render, view, export, edit, mesh, film)
+main.add_section("Maps", map_command, measure, compare_surveys)
 main.add_section("Large scenes", city, partition_command, block, merge)
 main.add_section("Data", sfm, georeference, pack)
 main.add_section("Machine", devices, bench, tune)

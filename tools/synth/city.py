@@ -273,6 +273,24 @@ def read_city(path: Path) -> City:
         np.array([[*ball["centre"], ball["radius"]] for ball in table["spheres"]]).reshape(-1, 4))
 
 
+def from_above(city: City, x: NDArray[np.float64], y: NDArray[np.float64]
+               ) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+    """Heights of the surface at places [...], as seen from straight above, and the solids seen
+    there: 0 for the ground, then the boxes, then the spheres."""
+    heights, solids = np.zeros(x.shape), np.zeros(x.shape, int)
+    for number, solid in enumerate([*city.boxes, *city.spheres], 1):
+        if solid.ndim == 2:
+            inside = ((solid[0, 0] <= x) & (x <= solid[1, 0])
+                      & (solid[0, 1] <= y) & (y <= solid[1, 1]))
+            tops = np.where(inside, solid[1, 2], 0)
+        else:
+            beneath = solid[3]**2 - (x - solid[0])**2 - (y - solid[1])**2
+            tops = np.where(beneath > 0, solid[2] + np.sqrt(np.maximum(beneath, 0)), 0)
+        solids[tops > heights] = number
+        np.maximum(heights, tops, out=heights)
+    return heights, solids
+
+
 def distances(city: City, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """How far points [N, 3] are from the visible surface of a city, world units, below zero inside
     of solids or ground, where it is at least so far."""
