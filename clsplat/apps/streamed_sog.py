@@ -1,8 +1,8 @@
 """Streamed SOG, version 1: a model as chunks with levels of detail, which PlayCanvas loads by need.
 
 A balanced tree cuts the model into leaves. Level 0 has all gaussians of a leaf, and each further
-one a quarter of those before, merged. Chunks are unpacked SOG, in which a leaf has a range: of coarse
-levels, several leaves share a chunk, so that files are neither small nor many.
+one a quarter of those before, merged. Chunks are unpacked SOG, in which a leaf has a range: of
+coarse levels, several leaves share a chunk, so that files are neither small nor many.
 
 All chunks have the model's local coordinates, in single precision: `origin` in the index, which
 viewers leave out, leads from there to the original ones.

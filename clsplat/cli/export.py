@@ -13,8 +13,8 @@ from clsplat.errors import InputError
 @click.argument("run", type=PATH)
 @click.option("-o", "--output", required=True, type=PATH, help="File to write; its suffix selects "
               "the format: .ply, .sog, .spz, .glb, OpenUSD as .usdz, .usdc or .usda, points as "
-              ".las or .laz, or .html, a page for the browser. Without a suffix: a folder of 3D "
-              "Tiles with levels of detail.")
+              ".las or .laz, or .html, a page for the browser. With levels of detail: a name "
+              "without a suffix, a folder of 3D Tiles; FOLDER/lod-meta.json, Streamed SOG.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--upright", is_flag=True, help="Turn the model so that up is -y, as most viewers "
               "expect. It then no longer fits the scene's cameras.")
@@ -32,6 +32,7 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
     gaussians at places that fewer than two photos show.
     """
     from clsplat.apps.models import photos_of, supported, write_run_model
+    from clsplat.apps.streamed_sog import INDEX, write_run_sog
     from clsplat.apps.tiles import write_run_tiles
     from clsplat.cli.progress import Progress
     from clsplat.edit.select import alive, selected, used_sh_degree
@@ -39,16 +40,19 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
     from clsplat.io.models.formats import format_of
     from clsplat.report.model_page import write_run_page
     is_page, is_folder = output.suffix.lower() == ".html", not output.suffix
+    is_streamed = output.name == INDEX
+    if is_streamed and not output.parent.name:
+        raise InputError(f"{output}: fills a folder; name a new one, such as site/{INDEX}")
     if upright and (is_page or is_folder):
         raise InputError("--upright: pages and 3D Tiles are upright; leave it out")
-    is_points = not (is_page or is_folder) and format_of(output).is_points
+    is_points = not (is_page or is_folder or is_streamed) and format_of(output).is_points
     if everything and not is_page:
         raise InputError("--everything: is for pages, other formats have all; leave it out")
     opened = Run.open(run)
     source = opened.folder.model_path
     if output.exists() and output.samefile(source):
         raise InputError(f"{output}: is the run's own model; name another file")
-    if not is_folder:
+    if not (is_folder or is_streamed):
         check_free(output, overwrite)
     with Progress() as progress:
         progress.phase(f"reading {run}")
@@ -69,6 +73,8 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
         part = selected(gaussians, keep).with_sh_degree(degree)
         if is_folder:
             tiles = write_run_tiles(output, opened, part, partial(progress.count, "tile"))
+        elif is_streamed:
+            write_run_sog(output.parent, opened, part, upright, partial(progress.count, "part"))
         elif is_page:
             write_run_page(output, opened, part, photos)
         else:

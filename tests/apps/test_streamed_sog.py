@@ -11,7 +11,10 @@ from scipy.spatial import cKDTree
 from clsplat.apps import streamed_sog
 from clsplat.apps.streamed_sog import write_streamed_sog
 from clsplat.edit.select import selected
+from clsplat.io.georeference.files import write_orientation
 from clsplat.io.models.formats import read_model, write_model
+from tests.apps.test_models import run_with
+from tests.command_line import clsplat_
 from tests.io.models.test_formats import BOUNDS, compare, model
 from tests.io.models.test_ply import UTM
 from tests.io.models.test_splat_transform import convert  # noqa: F401  (a fixture)
@@ -90,6 +93,27 @@ def test_a_small_model_is_one_leaf(tmp_path):
     index = json.loads((tmp_path / "lod-meta.json").read_text())
     assert index["lodLevels"] == 1 and index["tree"]["lods"]["0"] == {
         "file": 0, "offset": 0, "count": 50}
+
+
+def test_export(tmp_path, monkeypatch):
+    """Upright only where that is asked for; a folder that holds something is no place for it."""
+    gaussians = model(50, 1)
+    run = run_with(tmp_path / "run", gaussians, (0, 0, 0))
+    write_orientation(run.path, (0, 0, 1))
+    for name, words in (("as_is", ()), ("upright", ("--upright",))):
+        result = clsplat_("export", run.path, "-o", tmp_path / name / "lod-meta.json", *words)
+        assert result.exit_code == 0, result.output
+    found, turned = (read_model(tmp_path / name / "0_0" / "meta.json").positions
+                     for name in ("as_is", "upright"))
+    away, match = cKDTree(found).query(gaussians.positions)
+    assert away.max() < 1e-3 and len(set(match)) == 50
+    assert np.abs(np.sort(-turned[:, 1]) - np.sort(gaussians.positions[:, 2])).max() < 1e-3
+    for place, cause in ((tmp_path / "as_is" / "lod-meta.json", "as_is: exists already"),
+                         ("lod-meta.json", "fills a folder; name a new one")):
+        monkeypatch.chdir(tmp_path)
+        result = clsplat_("export", run.path, "-o", place)
+        assert result.exit_code == 2 and cause in result.output
+    assert not (tmp_path / "lod-meta.json").exists()
 
 
 @pytest.mark.slow
