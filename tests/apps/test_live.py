@@ -178,7 +178,7 @@ def test_the_page_asks_for_frames_and_tells_how_the_training_goes(tmp_path, city
       const turned = JSON.stringify(camera.axes()), last = () => asked[asked.length - 1][1];
       await until(() => JSON.stringify(last().rotation) === turned && last().width === 640);
       found.last = last(); // of all pixels, once it rests
-      await view.pick(view.canvas.clientWidth / 2, view.canvas.clientHeight / 2);
+      await view.tools.centre(view.canvas.clientWidth / 2, view.canvas.clientHeight / 2);
       found.distance = camera.distance;
       page.eval("isThere = false");
       await until(() => view.ended);
