@@ -85,7 +85,7 @@ def _coarse(model: Gaussians, cells: list[NDArray[np.intp]], progress: Progress
 def _compressed(planes: list[NDArray[np.uint8]], first: int, end: int) -> bytes:
     """Raw deflate of some columns of the planes."""
     compressor = zlib.compressobj(COMPRESSION, zlib.DEFLATED, -15)
-    return b"".join([*(compressor.compress(np.ascontiguousarray(plane[first:end]))
+    return b"".join([*(compressor.compress(plane[first:end].tobytes())
                        for plane in planes), compressor.flush()])
 
 

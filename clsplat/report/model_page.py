@@ -1,7 +1,7 @@
 """The page that shows a model in a browser: one HTML file that needs no network.
 
-The gaussians are written as base64 of `encoded` parts. The scripts of web/ unpack them into textures
-and draw them with WebGL 2 as our own renderer does (web/splat.vert).
+The gaussians are written as base64 of `encoded` parts. The scripts of web/ unpack them into
+textures and draw them with WebGL 2 as our own renderer does (web/splat.vert).
 """
 
 import base64

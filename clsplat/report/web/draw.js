@@ -126,9 +126,10 @@ class Painter {
   }
 
   // Colour gaussians by their height along `up`, between two, or if there are none, as they are.
-  colourByHeight(up, [low, high] = [0, 0]) {
+  colourByHeight(up, heights) {
+    const [low, high] = heights || [0, 0];
     this.set("up", ...up);
-    this.set("heights", low, high - low);
+    this.set("heights", low, heights ? Math.max(high - low, 1e-6) : 0);
     this.gl.uniform3fv(this.place("palette"), PALETTE.flat().map((byte) => byte / 255));
   }
 

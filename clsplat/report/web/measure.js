@@ -45,7 +45,7 @@ class Measure {
     const shown = (value) => (place.metric ? value.toFixed(2) : brief(value));
     if (!points.length) return this.isTaking ? "Click the surface to set points." : "";
     if (points.length < 2) return this.tools.coordinates(points[0]);
-    const { length, rise, ground, area, mapArea } = measured(points, up);
+    const { length, rise, ground, area, mapArea } = Measure.of(points, up);
     const lines = [`Length ${shown(length)} ${unit}`, `Along the ground ${shown(ground)} ${unit}`,
                    `Height difference ${shown(rise)} ${unit}`];
     if (points.length > 2) lines.push(`Area ${shown(area)} ${unit}²`,
@@ -59,20 +59,20 @@ class Measure {
     return closing + line(seen, "measure") + seen.filter(([, , depth]) => depth > 0).map(
       ([x, y]) => `<circle cx="${x.toFixed(1)}" cy="${y.toFixed(1)}" r="4"/>`).join("");
   }
-}
 
-// Of a line through points: its length, that along the ground, how much higher its end is than its
-// begin, and the area that it encloses with its end joined to its begin, on the plane that fits it
-// and on the level one.
-function measured(points, up) {
-  let length = 0, ground = 0, vector = [0, 0, 0];
-  points.forEach((point, k) => {
-    const next = points[(k + 1) % points.length], way = plus(next, point, -1);
-    vector = plus(vector, cross(plus(point, points[0], -1), plus(next, points[0], -1)), 0.5);
-    if (k === points.length - 1) return;
-    length += Math.hypot(...way);
-    ground += Math.hypot(...plus(way, up, -dot(way, up)));
-  });
-  return { length, ground, rise: dot(plus(points[points.length - 1], points[0], -1), up),
-           area: Math.hypot(...vector), mapArea: Math.abs(dot(vector, up)) };
+  // Of a line through points: its length, that along the ground, how much higher its end is than its
+  // begin, and the area that it encloses with its end joined to its begin, on the plane that fits it
+  // and on the level one.
+  static of(points, up) {
+    let length = 0, ground = 0, vector = [0, 0, 0];
+    points.forEach((point, k) => {
+      const next = points[(k + 1) % points.length], way = plus(next, point, -1);
+      vector = plus(vector, cross(plus(point, points[0], -1), plus(next, points[0], -1)), 0.5);
+      if (k === points.length - 1) return;
+      length += Math.hypot(...way);
+      ground += Math.hypot(...plus(way, up, -dot(way, up)));
+    });
+    return { length, ground, rise: dot(plus(points[points.length - 1], points[0], -1), up),
+             area: Math.hypot(...vector), mapArea: Math.abs(dot(vector, up)) };
+  }
 }

@@ -53,7 +53,10 @@ class Photos {
       element("caption").textContent = photo.name;
       element("photo").hidden = !photo.picture;
       element("fade").parentElement.hidden = !photo.picture;
-      if (photo.picture) element("photo").src = photo.picture;
+      if (photo.picture) {
+        element("photo").src = photo.picture;
+        this.lay(photo, viewer.canvas);
+      }
       element("photo").alt = `The photo ${photo.name}`;
       element("card").hidden = false;
       this.fade();
