@@ -101,8 +101,10 @@ def write_page(path: str | Path, gaussians: Gaussians, first_view: Camera,
     record = {**coding, **view_record(view, up, gaussians.positions, cameras,
                                       place_record(georeference, gaussians.offset)),
               "near": near, "antialiased": antialiased, "background": list(background)}
-    scripts = "".join(f'<script id="{name}" type="text/plain">{_text(part)}</script>\n'
-                      for name, part in parts.items())
+    texts = {name: _text(part) for name, part in parts.items()}
+    record["characters"] = {name: len(part) for name, part in texts.items()}
+    scripts = "".join(f'<script id="{name}" type="text/plain">{part}</script>\n'
+                      for name, part in texts.items())
     shown = filled("poster.html", poster=_jpeg(poster), ratio=str(view.width / view.height))
     taken = [{"name": each.name, "picture": _jpeg(each.picture), **_camera_record(camera)}
              for each, camera in zip(photos, cameras)]

@@ -60,7 +60,11 @@ class Viewer {
 
   // Unpack a part of the page, when it has arrived, into the tables.
   async take(name, count, first) {
-    while (!isThere(name)) await new Promise((wake) => setTimeout(wake, 100));
+    while (!isThere(name)) {
+      const share = arrived(name) / this.model.characters[name];
+      if (!this.ordered) say(`Loading the model … ${Math.round(100 * share)} %`);
+      await new Promise((wake) => setTimeout(wake, 100));
+    }
     const element = document.getElementById(name);
     const part = await unpack(element.textContent, this.model, count, (share) => {
       if (!this.ordered) say(`Unpacking the model … ${Math.round(100 * share)} %`);
@@ -180,6 +184,12 @@ function fail(reason) {
 // Whether all of an element of the page has arrived.
 function isThere(name) {
   return document.readyState !== "loading" || document.getElementById(name)?.nextElementSibling;
+}
+
+// How many characters of an element have arrived.
+function arrived(name) {
+  const { childNodes } = document.getElementById(name) || { childNodes: [] };
+  return [...childNodes].reduce((sum, { length }) => sum + length, 0);
 }
 
 function start() {
