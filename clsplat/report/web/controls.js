@@ -143,7 +143,8 @@ class Controls {
 
   keyDown(event) {
     this.fast = event.shiftKey; // which may be pressed after the key that moves
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches?.("input")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey
+        || event.target.matches?.("[type=text], [type=range]")) return;
     if (event.code in FLY_KEYS || event.code in RISE_KEYS) {
       event.preventDefault();
       this.keys.add(event.code);

@@ -77,8 +77,8 @@ class Viewer {
   }
 
   tell() {
-    const { share, isWhole } = this.cells;
-    const loaded = share < 1 ? ` · ${Math.round(100 * share)} % of the details loaded`
+    const { coarse, share, isWhole } = this.cells;
+    const loaded = !coarse ? "" : share < 1 ? ` · ${Math.round(100 * share)} % of the details loaded`
       : isWhole ? "" : " · details near the camera";
     document.getElementById("facts").textContent =
       `${this.model.count.toLocaleString("en")} gaussians${loaded}`;
