@@ -7,19 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.apps import page_pictures
-from clsplat.apps.page_pictures import photos_of_page
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io.models.values import opacities
 from clsplat.io.photos.images import encode_image
 from clsplat.rendering.slabs import open_model
-from clsplat.report import encode
-from clsplat.report.encode import encoded
 from clsplat.report.model_page import Photo, write_page
 from tests.apps.browser import answer_of, needs_chromium
-from tests.estimate.test_plan import city, clsplat_
-from tests.report.test_model_page import SHARP, colourful, written
+from tests.estimate.test_plan import city
+from tests.report.test_model_page import SHARP, colourful
 
 __all__ = ["city"]
 SITE = Georeference("EPSG:32614", (622_000.0, 3_456_000.0, 300.0), "GPS of 9 photos", 0.5)
@@ -292,55 +287,6 @@ def test_views_are_kept_and_linked(tmp_path, city, still):
     assert found["facts"] == "4,000 gaussians" and found["canvas"] == "helpapplication"
 
 
-def test_a_large_model_is_a_coarse_one_and_cells(city, monkeypatch):
-    monkeypatch.setattr(encode, "WHOLE", 1000)
-    monkeypatch.setattr(encode, "CELL", 300)
-    model = colourful(city, 2000, 1)
-    told = []
-    parts, coding = encoded(model, lambda *step: told.append(step))
-    assert list(parts) == ["coarse", *(f"cell{number}" for number in range(8))]
-    counts = [cell["count"] for cell in coding["cells"]]
-    assert sum(counts) == coding["count"] == 2000 and max(counts) - min(counts) <= 1
-    assert sum(cell["coarse"] for cell in coding["cells"]) == pytest.approx(250, abs=8)
-    assert told[-1] == ("cell", 8, 8)
-
-
-@pytest.mark.slow
-@needs_chromium
-@pytest.mark.parametrize("memory", [32, 4], ids=["desktop", "phone"])
-def test_cells_follow_a_coarse_picture(tmp_path, city, monkeypatch, memory):
-    """All of them, or where there is little memory the nearest ones, in place of others."""
-    monkeypatch.setattr(encode, "WHOLE", 1000)
-    monkeypatch.setattr(encode, "CELL", 600)
-    text = written(tmp_path / "page.html", city, colourful(city, 4000, 1))
-    text = text.replace("<head>", "<head><script>Object.defineProperty(navigator, 'deviceMemory', "
-                        f"{{ value: {memory} }});</script>", 1)
-    text = text.replace("HELD_BY_A_PHONE = 1e6", "HELD_BY_A_PHONE = 2 * 4096")
-    found = found_in(tmp_path, text, """
-      const held = () => view.cells.slots.map(({ number }) => number);
-      found.held = held();
-      found.drawn = view.cells.ranges().reduce((sum, [, , count]) => sum + count, 0);
-      found.ranges = view.cells.ranges().length;
-      found.facts = $("facts").textContent;
-      found.poster = $("poster") === null;
-      const away = (cell) => Math.hypot(...cell.centre.map((x, k) => x - camera.position[k]));
-      const nearest = () => [...view.cells.cells].sort((a, b) => away(a) - away(b)).slice(
-        0, found.held.length).map(({ number }) => number).sort().join();
-      const furthest = [...view.cells.cells].sort((a, b) => away(b) - away(a))[0];
-      found.first = [...held()].sort().join() === nearest();
-      camera.position = [...furthest.centre]; view.moved();
-      await until(() => [...held()].sort().join() === nearest());
-      found.follows = held().includes(furthest.number);
-      view.hasty = true;
-      found.hasty = view.cells.ranges(true).every(([first]) => first === 0);
-    """)
-    assert all(found[name] for name in ("first", "follows", "hasty", "poster"))
-    assert found["ranges"] == 8
-    assert len(found["held"]) == (8 if memory == 32 else 2)
-    assert found["drawn"] == (4000 if memory == 32 else 1000 + 6 * 62)
-    assert ("near the camera" in found["facts"]) == (memory == 4)
-
-
 @pytest.mark.slow
 @needs_chromium
 def test_a_page_shows_a_poster_and_its_share_while_it_loads(tmp_path, city):
@@ -367,43 +313,3 @@ def test_a_page_shows_a_poster_and_its_share_while_it_loads(tmp_path, city):
       return JSON.stringify(found);"""))
     assert re.fullmatch(r"Loading the model … (49|50) %", found["notice"])
     assert found["poster"] == [0, 0, 640, 480] and found["end"] == "0"
-
-
-def test_pictures_of_photos_have_a_bound(city, monkeypatch):
-    whole = photos_of_page(city, True)
-    assert [photo.name for photo in whole] == [view.name for view in city.views]
-    assert all(photo.picture[:2] == b"\xff\xd8" for photo in whole)
-    assert not any(photo.picture for photo in photos_of_page(city, False))
-    for most in (40_000, 3000):
-        monkeypatch.setattr(page_pictures, "MOST_BYTES", most)
-        total = sum(len(photo.picture) for photo in photos_of_page(city, True))
-        assert 0 < total <= most
-
-
-def test_export_has_a_title_a_poster_and_photos(tmp_path, city, trained):
-    """And on request no photos; other formats refuse what is for pages."""
-    output = tmp_path / "page.html"
-    result = clsplat_("export", trained, "-o", output, "--title", "A <yard>")
-    assert result.exit_code == 0, result.output
-    text = output.read_text("utf-8")
-    assert "<title>A &lt;yard&gt;</title>" in text
-    assert re.search(r'id="poster" alt="" src="data:image/jpeg;base64,\S{2000,}" data-ratio=', text)
-    assert text.index('id="poster"') < text.index('id="cell0"') < text.index('id="photo_record"')
-    record = json.loads(re.search(r'id="photo_record" type="application/json">(.*)</script>',
-                                  text)[1])
-    assert len(record) == len(city.views) and all(each["picture"] for each in record)
-    result = clsplat_("export", trained, "-o", output, "--overwrite", "--no-photos")
-    assert result.exit_code == 0 and '"picture": "data' not in output.read_text("utf-8")
-    for words in (("--title", "x"), ("--no-photos",)):
-        result = clsplat_("export", trained, "-o", tmp_path / "model.ply", *words)
-        assert result.exit_code == 2 and f"{words[0]}: is for pages" in result.output
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory, city):
-    from tests.apps.test_models import run_with
-    model = colourful(city, 300, 0)
-    assert opacities(model).max() > 0.5
-    run = run_with(tmp_path_factory.mktemp("runs") / "run", model)
-    run.save_model(model, city.offset)
-    return run.path
