@@ -84,7 +84,7 @@ class Tools {
   }
 
   async copyLink() {
-    history.replaceState(null, "", this.link);
+    location.hash = this.link.split("#")[1];
     try {
       await navigator.clipboard.writeText(this.link);
       element("told").textContent = "The link to this view was copied.";
