@@ -11,6 +11,12 @@ const UNCUT = { axes: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], low: [-1e30, -1e30, -1e
 const PALETTE = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 const BORDER = 0.15; // of the picture: so far beyond its borders Jacobians are not clamped
 
+// Between which x/z and y/z Jacobians are not clamped: the lowest of both, and the highest.
+function ratiosOf({ width, height, focal, centre }) {
+  return [-BORDER, 1 + BORDER].flatMap((share) => [width, height].map(
+    (length, axis) => (share * length - centre[axis]) / focal[axis]));
+}
+
 class Painter {
   // canvas: to draw into; model: the numbers of the page; rows: how many gaussians there may be.
   constructor(canvas, model, rows) {
@@ -147,10 +153,7 @@ class Painter {
     this.set("focal", ...focal);
     this.set("centre", ...centre);
     this.set("size", width, height);
-    const size = [width, height];
-    this.set("ratios",
-      ...size.map((length, axis) => (-BORDER * length - centre[axis]) / focal[axis]),
-      ...size.map((length, axis) => ((1 + BORDER) * length - centre[axis]) / focal[axis]));
+    this.set("ratios", ...ratiosOf({ width, height, focal, centre }));
     gl.uniform1ui(this.place("drawn"), this.drawn);
     gl.drawElementsInstanced(gl.TRIANGLES, 6 * BUNDLE, gl.UNSIGNED_SHORT, 0,
                              Math.ceil(this.drawn / BUNDLE));

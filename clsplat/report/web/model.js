@@ -4,7 +4,6 @@
 const SHARPEST = 2; // pixels of the picture for each pixel of the style sheet
 const SLOW_FRAME = 45; // milliseconds; slower movement is drawn with fewer pixels
 const COARSEST = 0.4; // share of the pixels along a side, while the camera moves
-const LOW_PASS = 0.55; // pixels, the standard deviation that web/splat.vert adds to a splat
 const SETTLED = 200; // milliseconds without movement, after which all pixels are drawn
 
 class Viewer {
@@ -99,16 +98,16 @@ class Viewer {
 
   // The place that the reader sees at a place of the canvas; undefined if there is nothing.
   async surfaceAt(x, y) {
-    const { clientWidth, clientHeight } = this.canvas, { position } = this.camera;
+    const { clientWidth, clientHeight } = this.canvas;
     const ray = this.camera.ray(x, y, clientWidth, clientHeight);
-    const pixel = LOW_PASS / this.camera.pinhole(clientWidth, clientHeight).focal[0];
+    const camera = this.camera.pinhole(clientWidth, clientHeight);
     const asked = this.count = (this.count || 0) + 1;
     const along = await new Promise((answer) => {
       this.asked.set(asked, answer);
-      this.worker.postMessage({ asked, ray, position, pixel, near: this.model.near,
-                                cut: this.looks.box });
+      this.worker.postMessage({ asked, ray, x, y, near: this.model.near, cut: this.looks.box,
+                                camera: { ...camera, ratios: ratiosOf(camera) } });
     });
-    return along && plus(position, ray, along);
+    return along && plus(camera.position, ray, along);
   }
 
   moved() {

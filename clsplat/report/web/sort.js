@@ -5,6 +5,8 @@
 
 const BUCKETS = 1 << 17;
 const FAINTEST = 1 / 255, REACH = Math.sqrt(2 * Math.log(255)); // of alpha; standard deviations
+const LOW_PASS = 0.3; // as web/splat.vert
+const HAZE = 0.05; // share of a distance by which a surface may differ from its gaussian's middle
 const parts = new Map(), starts = new Uint32Array(BUCKETS);
 let depths = new Float32Array(0), keys, tables, ranges = [];
 
@@ -45,40 +47,60 @@ function sorted({ forward: [x, y, z], position, near }) {
 }
 
 // How far away along a ray, a unit vector, the first half of the light ends; undefined if less of
-// it ends at all. A pixel has this size at a distance of one, and no gaussian is thinner.
-function surface({ position: [px, py, pz], ray: [rx, ry, rz], near, pixel, cut }) {
-  const hits = [], [red, green, blue] = tables;
+// it ends at all. Alphas and order are those of the picture (web/splat.vert) at a place x, y of it,
+// through which the ray goes; the gaussian that is met tells the distance.
+function surface({ camera: { position, rotation, focal, centre, ratios }, x, y, ray, near, cut }) {
+  const hits = [], [red, green, blue] = tables, [right, down, ahead] = rotation;
+  const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   for (const [first, from, count] of ranges) {
     const { positions, opacities, shapes } = parts.get(first);
     for (let i = from; i < from + count; i++) {
-      const dx = positions[4 * i] - px, dy = positions[4 * i + 1] - py;
-      const dz = positions[4 * i + 2] - pz, along = dx * rx + dy * ry + dz * rz;
-      if (along <= near) continue;
-      const thin = pixel * along, word = shapes[2 * i];
+      const dx = positions[4 * i] - position[0], dy = positions[4 * i + 1] - position[1];
+      const dz = positions[4 * i + 2] - position[2];
+      const z = dx * ahead[0] + dy * ahead[1] + dz * ahead[2];
+      if (z <= near) continue;
+      const px = (dx * right[0] + dy * right[1] + dz * right[2]) / z;
+      const py = (dx * down[0] + dy * down[1] + dz * down[2]) / z;
+      const u = focal[0] * px + centre[0] - x, v = focal[1] * py + centre[1] - y;
+      const word = shapes[2 * i], fx = focal[0] / z, fy = focal[1] / z;
       const s = [red[word & 255], green[word >>> 8 & 255], blue[word >>> 16 & 255]];
-      const far = REACH * (Math.max(s[0], s[1], s[2]) + thin);
-      if (dx * dx + dy * dy + dz * dz - along * along > far * far) continue;
+      const rx = Math.min(ratios[2], Math.max(ratios[0], px));
+      const ry = Math.min(ratios[3], Math.max(ratios[1], py));
+      const widest = Math.max(fx, fy) * Math.sqrt(1 + rx * rx + ry * ry);
+      const far = REACH * (Math.max(s[0], s[1], s[2]) * 1.5 * widest + 1);
+      if (u * u + v * v > far * far) continue;
+      const away = [dx, dy, dz], axes = turned(shapes[2 * i + 1]);
       if (cut && cut.axes.some((axis, k) => {
-        const at = axis[0] * (dx + px) + axis[1] * (dy + py) + axis[2] * (dz + pz);
+        const at = dot(axis, away) + dot(axis, position);
         return at < cut.low[k] || at > cut.high[k];
       })) continue;
-      let aa = 0, ab = 0, bb = 0; // of the centre and the ray, in standard deviations
-      turned(shapes[2 * i + 1]).forEach((axis, k) => {
-        const size = Math.hypot(s[k], thin);
-        const a = (axis[0] * dx + axis[1] * dy + axis[2] * dz) / size;
-        const b = (axis[0] * rx + axis[1] * ry + axis[2] * rz) / size;
-        aa += a * a;
-        ab += a * b;
-        bb += b * b;
+      let a = LOW_PASS, b = 0, c = LOW_PASS;
+      axes.forEach((axis, k) => {
+        const m1 = s[k] * fx * (dot(axis, right) - rx * dot(axis, ahead));
+        const m2 = s[k] * fy * (dot(axis, down) - ry * dot(axis, ahead));
+        a += m1 * m1;
+        b += m1 * m2;
+        c += m2 * m2;
       });
-      const alpha = opacities[16 * i + 15] / 255 * Math.exp(-0.5 * (aa - ab * ab / bb));
-      if (alpha > FAINTEST) hits.push([ab / bb, Math.min(0.99, alpha)]);
+      const distance = (c * u * u - 2 * b * u * v + a * v * v) / (a * c - b * b);
+      const alpha = Math.min(0.99, opacities[16 * i + 15] / 255 * Math.exp(-0.5 * distance));
+      if (alpha > FAINTEST) hits.push({ z, alpha, away, axes, sizes: s.map(
+        (size) => Math.hypot(size, 1 / fx)) }); // no thinner than a pixel
     }
   }
-  hits.sort((a, b) => a[0] - b[0]);
+  hits.sort((one, other) => one.z - other.z);
   let left = 1;
-  for (const [along, alpha] of hits) if ((left *= 1 - alpha) < 0.5) return along;
-  return undefined;
+  const met = hits.find(({ alpha }) => (left *= 1 - alpha) < 0.5);
+  if (!met) return undefined;
+  let across = 0, along = 0; // where the ray is nearest to its centre, in standard deviations
+  met.axes.forEach((axis, k) => {
+    const step = dot(axis, ray) / met.sizes[k];
+    across += step * dot(axis, met.away) / met.sizes[k];
+    along += step * step;
+  });
+  // a gaussian so large that its middle is elsewhere is haze, and no surface
+  const middle = met.z / dot(ray, ahead), least = middle * (1 - HAZE);
+  return Math.min(middle * (1 + HAZE), Math.max(least, across / along));
 }
 
 // The axes of a gaussian, as web/splat.vert has them.
