@@ -12,7 +12,7 @@ from clsplat.device import Device
 from clsplat.evaluation.run import Run, open_shown
 from clsplat.io.models.tree import Tree
 from clsplat.rendering.tree import HOST_BYTES
-from clsplat.report.model_page import filled, near_of, view_record
+from clsplat.report.model_page import filled, near_of, place_record, view_record
 from clsplat.report.page import full_name, script_json
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import latest_model
@@ -50,8 +50,8 @@ def show_run(run: Run, device: Device, opened: Callable[[str], object], port: in
     positions = (model.read(len(model.nodes) - 1, "positions")  # of the root
                  if isinstance(model, Tree) else model.positions)
     view = run.first_view.shifted(model.offset - run.first_view.offset)
-    page = live_page(full_name(run.path, run.record),
-                     view_record(view, run.up, positions, photos_of(run)))
+    page = live_page(full_name(run.path, run.record), view_record(
+        view, run.up, positions, photos_of(run), place_record(run.georeference, model.offset)))
     requests = FrameRequests()
     with ViewServer(page, requests, lambda: {"gaussians": model.count}, port) as server:
         opened(server.address)
@@ -80,7 +80,8 @@ class TrainingView(ViewServer, SilentProgress):
         self._drawn_until = self._seconds = 0.0
         self._status: dict[str, Any] = {"phase": "beginning", "message": "", "losses": []}
         page = live_page(scene.name, view_record(
-            scene.first_view, scene.up, scene.points, [view.camera for view in scene.views]))
+            scene.first_view, scene.up, scene.points, [view.camera for view in scene.views],
+            place_record(scene.georeference, scene.offset)))
         super().__init__(page, FrameRequests(), lambda: self._status, port)
 
     # --- as a progress line

@@ -41,16 +41,22 @@ def supported(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.bool
     return shown
 
 
-def photos_of(run: Run, scene_path: Path | None = None) -> list[Camera]:
-    """The cameras of a run's photos in original coordinates; empty if its scene is not where it was
-    recorded, but one that `scene_path` names must be there."""
+def scene_of(run: Run, scene_path: Path | None = None) -> Scene | None:
+    """The scene of a run; None if it is not where it was recorded, but one that `scene_path` names
+    must be there."""
     try:
-        scene = run.scene(scene_path)
+        return run.scene(scene_path)
     except InputError:
         if scene_path is not None:
             raise
-        return []
-    return in_original(scene)
+        return None
+
+
+def photos_of(run: Run, scene_path: Path | None = None) -> list[Camera]:
+    """The cameras of the scene of a run, see `scene_of`, in original coordinates; empty without
+    it."""
+    scene = scene_of(run, scene_path)
+    return in_original(scene) if scene else []
 
 
 def in_original(scene: Scene) -> list[Camera]:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import PATH, check_free, everything_flag
-from clsplat.errors import InputError
+from clsplat.cli.flags import PATH, check_free, device_flag, everything_flag
+from clsplat.errors import DeviceError, InputError
 
 
 @click.command()
@@ -22,16 +22,22 @@ from clsplat.errors import InputError
               help="Highest degree of the spherical harmonics to write.")
 @everything_flag
 @click.option("--scene", type=PATH, help="For a page: where the scene is now, if it was moved.")
+@click.option("--title", default="", help="For a page: its title; default: the name of the run.")
+@click.option("--no-photos", is_flag=True, help="For a page: leave out the small copies of the "
+              "photos, which take up to 11 MiB of it.")
+@device_flag
 def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: int,
-           everything: bool, scene: Path | None) -> None:
+           everything: bool, scene: Path | None, title: str, no_photos: bool, device: str) -> None:
     """Write the gaussians of RUN to a file for other programs.
 
     They are in the world coordinates of the scene; in .las and .laz, in map coordinates if it is
     georeferenced. Gaussians that are invisible in every view, with an opacity below one step of 8
     bits, and degrees of spherical harmonics that are zero everywhere are left out; of a page also
-    gaussians at places that fewer than two photos show.
+    gaussians at places that fewer than two photos show. The device only draws what a page shows
+    while it loads.
     """
-    from clsplat.apps.models import photos_of, supported, write_run_model
+    from clsplat.apps.models import scene_of, supported, write_run_model
+    from clsplat.apps.page_pictures import photos_of_page, poster_of
     from clsplat.apps.streamed_sog import INDEX, write_run_sog
     from clsplat.apps.tiles import write_run_tiles
     from clsplat.cli.progress import Progress
@@ -48,6 +54,9 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
     is_points = not (is_page or is_folder or is_streamed) and format_of(output).is_points
     if everything and not is_page:
         raise InputError("--everything: is for pages, other formats have all; leave it out")
+    for flag, given in (("--title", title), ("--no-photos", no_photos)):
+        if given and not is_page:
+            raise InputError(f"{flag}: is for pages; leave it out")
     opened = Run.open(run)
     source = opened.folder.model_path
     if output.exists() and output.samefile(source):
@@ -62,13 +71,15 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
         if not keep.any():
             raise InputError(f"{source}: none of its {len(keep):,} gaussians can be seen, so "
                              "nothing is left to write; train longer, or see the run's report")
-        photos = photos_of(opened, scene) if is_page else []
+        data = scene_of(opened, scene) if is_page else None
+        photos = photos_of_page(data, not no_photos, progress.count) if data else []
         if is_page and not photos:
-            progress.message(f"{run}: its scene is not there, so gaussians that fewer than two "
-                             "photos support are kept too; name it with --scene")
+            progress.message(f"{run}: its scene is not there, so no photo is shown, and gaussians "
+                             "that fewer than two photos support are kept too; name it with "
+                             "--scene")
         visible = int(keep.sum())
         if photos and not everything:
-            keep[keep] = supported(selected(gaussians, keep), photos)
+            keep[keep] = supported(selected(gaussians, keep), [each.camera for each in photos])
         progress.phase(f"writing {output}")
         part = selected(gaussians, keep).with_sh_degree(degree)
         if is_folder:
@@ -76,7 +87,14 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
         elif is_streamed:
             write_run_sog(output.parent, opened, part, upright, partial(progress.count, "part"))
         elif is_page:
-            write_run_page(output, opened, part, photos)
+            try:
+                poster = poster_of(opened, part, device)
+            except DeviceError as error:
+                poster = b""
+                progress.message(f"the page has no picture while it loads: {error}")
+            progress.phase(f"writing {output}")
+            write_run_page(output, opened, part, photos, title=title, poster=poster,
+                           progress=progress.count)
         else:
             write_run_model(output, opened, part, upright)
     if is_folder:

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import re
 import threading
 
 import numpy as np
@@ -178,8 +179,12 @@ def test_the_page_asks_for_frames_and_tells_how_the_training_goes(tmp_path, city
       const turned = JSON.stringify(camera.axes()), last = () => asked[asked.length - 1][1];
       await until(() => JSON.stringify(last().rotation) === turned && last().width === 640);
       found.last = last(); // of all pixels, once it rests
-      await view.pick(view.canvas.clientWidth / 2, view.canvas.clientHeight / 2);
+      await view.tools.centre(view.canvas.clientWidth / 2, view.canvas.clientHeight / 2);
       found.distance = camera.distance;
+      page.document.getElementById("measure").click();
+      view.tools.tapped(320, 240);
+      await until(() => view.tools.parts[0].points.length);
+      found.coordinates = text("measured");
       page.eval("isThere = false");
       await until(() => view.ended);
       found.end = text("notice");
@@ -194,4 +199,5 @@ def test_the_page_asks_for_frames_and_tells_how_the_training_goes(tmp_path, city
     assert found["last"]["height"] == 480
     assert not np.allclose(found["last"]["rotation"], first["rotation"], atol=0.1)
     assert found["distance"] == pytest.approx(7, rel=0.1)
+    assert re.fullmatch(r"x \S+ · y \S+ · z \S+ · scene units", found["coordinates"])
     assert found["end"].startswith("The training has ended")

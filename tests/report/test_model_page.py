@@ -16,7 +16,8 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.georeference.files import write_orientation
 from clsplat.rendering.slabs import open_model
 from clsplat.report import model_page as page_module
-from clsplat.report.model_page import encoded, write_page
+from clsplat.report.encode import encoded
+from clsplat.report.model_page import Photo, write_page
 from tests.apps.browser import answer_of, needs_chromium, picture_of
 from tests.apps.test_models import run_with
 from tests.estimate.test_plan import city, clsplat_
@@ -37,6 +38,13 @@ def colourful(city, count=3000, degree=3):
     rows["opacity_logits"] = rng.normal(1, 2, count).astype(np.float32)
     rows["sh_rest"] = rng.normal(0, 0.1, rows["sh_rest"].shape).astype(np.float32)
     return Gaussians(rows, degree, model.offset)
+
+
+def whole(model):
+    """The bytes of a model that is one cell, and its coding."""
+    parts, coding = encoded(model)
+    (content,) = parts.values()
+    return content, coding
 
 
 def decoded(content, coding):
@@ -65,7 +73,7 @@ def decoded(content, coding):
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_bytes_hold_the_model(city, degree):
     model = colourful(city, 500, degree)
-    found = decoded(*encoded(model))
+    found = decoded(*whole(model))
     order = np.argsort(found["positions"][:, 0])
     mine = np.argsort(model.positions[:, 0])
     near = {name: values[order] for name, values in found.items()}
@@ -89,7 +97,7 @@ def test_a_vanishing_gaussian_costs_the_others_no_precision(city):
     model = colourful(city, 50, 0)
     order, usual = np.argsort(model.positions[:, 0]), np.ptp(model.log_scales)
     model.log_scales[order[7], 1] = -80
-    found = decoded(*encoded(model))
+    found = decoded(*whole(model))
     errors = np.abs(found["log_scales"][np.argsort(found["positions"][:, 0])]
                     - model.log_scales[order])
     assert np.quantile(errors, 0.97) < 0.6 * usual / 255  # the smallest on each axis are clipped
@@ -197,15 +205,15 @@ def test_movement_keeps_the_world_upright(tmp_path, city):
       found.pinch = camera.distance < 0.9 * before;
       point("pointerup", 1, 0, 0);
       point("pointerup", 2, 0, 0);
-      const taps = [], picked = view.controls.picked;
-      view.controls.picked = (x, y) => taps.push([x, y]);
+      const taps = [], picked = view.tools.controls.picked;
+      view.tools.controls.picked = (x, y) => taps.push([x, y]);
       for (const length of [100, 3, 0]) { // two drags from one place, then a tap, and a second one
         point("pointerdown", 1, 200, 200);
         if (length) point("pointermove", 1, 200 + length, 200);
         point("pointerup", 1, 0, 0);
         taps.push(length);
       }
-      view.controls.picked = picked;
+      view.tools.controls.picked = picked;
       found.taps = JSON.stringify(taps);
       page.document.getElementById("fly").click();
       const place = camera.position.join();
@@ -227,11 +235,11 @@ def test_movement_keeps_the_world_upright(tmp_path, city):
       page.requestAnimationFrame = animate;
       view.scheduled = false;
       key("keydown", "ShiftLeft", true);
-      found.fast = view.controls.fast;
+      found.fast = view.tools.controls.fast;
       key("keyup", "ShiftLeft", false);
-      found.fast = found.fast && !view.controls.fast;
+      found.fast = found.fast && !view.tools.controls.fast;
       key("keyup", "KeyW", false);
-      found.stops = !view.controls.isFlying;
+      found.stops = !view.tools.controls.isFlying;
       const tapped = camera.position.join();
       key("keydown", "KeyS", false);
       key("keyup", "KeyS", false);
@@ -242,7 +250,7 @@ def test_movement_keeps_the_world_upright(tmp_path, city):
       found.reset = Math.max(...again.map((x, k) => Math.abs(x - was[k]))) < 1e-6;
       const far = camera.distance;
       camera.distance *= 3;
-      view.pick(surface.clientWidth / 2, surface.clientHeight / 2);
+      view.tools.centre(surface.clientWidth / 2, surface.clientHeight / 2);
       await until(() => camera.distance < 2 * far);
       found.pick = camera.distance > far / 2;
       return JSON.stringify(found);"""
@@ -256,7 +264,7 @@ def test_movement_keeps_the_world_upright(tmp_path, city):
 @needs_chromium
 def test_the_reader_stays_where_photos_looked(tmp_path, city):
     """However far somebody drags, pulls, flies or zooms."""
-    photos = [view.camera for view in city.views]
+    photos = [Photo(view.name, view.camera) for view in city.views]
     text = written(tmp_path / "page.html", city, colourful(city, 500), photos=photos)
     steps = """
       const view = page.viewer, camera = view.camera, surface = view.canvas, found = {};

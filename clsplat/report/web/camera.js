@@ -38,19 +38,35 @@ class ReaderCamera {
     this.reset();
   }
 
-  // Back to the first view. Its horizon may not be level: `tilt` is the turn from the level camera
-  // to it, in the camera's axes, and vanishes while the reader moves.
+  // Back to the first view.
   reset() {
-    const [, down, forward] = this.view.rotation;
-    this.distance = this.view.distance;
-    this.position = [...this.view.position];
+    this.lens = 1;
+    this.take(this.view);
+  }
+
+  // Stand where a camera does. Its horizon may not be level: `tilt` is the turn from the level camera
+  // to it, in the camera's axes, and vanishes while the reader moves.
+  take({ position, rotation }, distance = this.view.distance) {
+    const [, down, forward] = rotation;
+    this.distance = distance;
+    this.position = [...position];
     const slope = dot(forward, this.up);
     this.pitch = Math.asin(clamped(slope, -1, 1));
     const ahead = plus(forward, down, slope < 0 ? -1 : 1); // not vertical, even straight down
     this.heading = Math.atan2(dot(ahead, this.west), dot(ahead, this.north));
     this.tilt = [0, 0, 0];
     const level = this.axes();
-    this.tilt = turnOf(this.view.rotation.map((row) => level.map((axis) => dot(row, axis))));
+    this.tilt = turnOf(rotation.map((row) => level.map((axis) => dot(row, axis))));
+  }
+
+  // All that moves, as numbers. `lens`: by how much larger it shows than the first view.
+  get pose() {
+    return [...this.position, this.heading, this.pitch, this.distance, ...this.tilt, this.lens];
+  }
+
+  set pose([x, y, z, heading, pitch, distance, ...rest]) {
+    Object.assign(this, { position: [x, y, z], heading, pitch, distance, tilt: rest.slice(0, 3),
+                          lens: rest[3] });
   }
 
   // Right, down and forward in the world: the rows of the rotation to the camera.
@@ -133,12 +149,18 @@ class ReaderCamera {
   // differs from that of the first view, half of what differs is cropped and half is added.
   pinhole(width, height) {
     const { view } = this;
-    const scale = Math.sqrt((width / view.width) * (height / view.height));
+    const scale = this.lens * Math.sqrt((width / view.width) * (height / view.height));
     return {
       width, height, position: this.position, rotation: this.axes(),
       focal: view.focal.map((value) => value * scale),
       centre: [width / 2 + (view.centre[0] - view.width / 2) * scale,
                height / 2 + (view.centre[1] - view.height / 2) * scale],
     };
+  }
+  // Where a point of the world is in a picture of width x height, and its depth.
+  project(point, width, height) {
+    const { focal, centre, rotation } = this.pinhole(width, height);
+    const [x, y, depth] = rotation.map((axis) => dot(axis, plus(point, this.position, -1)));
+    return [focal[0] * x / depth + centre[0], focal[1] * y / depth + centre[1], depth];
   }
 }

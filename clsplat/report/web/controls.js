@@ -11,20 +11,24 @@ const FLY_KEYS = {
   KeyW: [0, 0, 1], ArrowUp: [0, 0, 1], KeyS: [0, 0, -1], ArrowDown: [0, 0, -1],
   KeyA: [-1, 0, 0], ArrowLeft: [-1, 0, 0], KeyD: [1, 0, 0], ArrowRight: [1, 0, 0],
 };
+const KEYS = { KeyR: "reset", KeyO: "orbit", KeyF: "fly", KeyH: "explain", KeyT: "open",
+               KeyM: "measure", KeyZ: "undo", KeyC: "cameras", KeyG: "by_height",
+               KeyX: "fullscreen", KeyL: "link" };
 const RISE_KEYS = { KeyE: 1, PageUp: 1, KeyQ: -1, PageDown: -1 };
 
 class Controls {
   // surface: the element that is dragged; changed(): called after each movement; picked(x, y):
-  // called with the place of a double click, in pixels of the style sheet.
-  constructor(surface, camera, changed, picked) {
-    Object.assign(this, { surface, camera, changed, picked });
+  // called with the place of a double click, in pixels of the style sheet; tapped(x, y): of each
+  // press that moved nothing.
+  constructor(surface, camera, changed, picked, tapped) {
+    Object.assign(this, { surface, camera, changed, picked, tapped });
     this.pointers = new Map();
     this.keys = new Set();
     this.lastTap = { time: -Infinity, x: 0, y: 0 };
     surface.addEventListener("pointerdown", (event) => this.press(event));
     surface.addEventListener("pointermove", (event) => this.drag(event));
-    for (const name of ["pointerup", "pointercancel"])
-      surface.addEventListener(name, (event) => this.pointers.delete(event.pointerId));
+    surface.addEventListener("pointerup", (event) => this.release(event));
+    surface.addEventListener("pointercancel", (event) => this.pointers.delete(event.pointerId));
     surface.addEventListener("contextmenu", (event) => event.preventDefault());
     surface.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     addEventListener("keydown", (event) => this.keyDown(event));
@@ -69,9 +73,15 @@ class Controls {
     this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     const isSecond = event.timeStamp - this.lastTap.time < TAPS_APART && this.pointers.size === 1
       && event.button === 0 && this.isAtLastTap(event);
+    this.isStill = this.pointers.size === 1;
     this.lastTap = { time: isSecond ? -Infinity : event.timeStamp, x: event.clientX,
                      y: event.clientY };
     if (isSecond) this.picked(event.clientX, event.clientY);
+  }
+
+  release(event) {
+    const isTap = this.pointers.size === 1 && this.isStill && event.button === 0;
+    if (this.pointers.delete(event.pointerId) && isTap) this.tapped(event.clientX, event.clientY);
   }
 
   isAtLastTap({ clientX, clientY }) {
@@ -81,7 +91,10 @@ class Controls {
   drag(event) {
     const last = this.pointers.get(event.pointerId);
     if (!last) return;
-    if (!this.isAtLastTap(event)) this.lastTap.time = -Infinity; // a drag is no tap
+    if (!this.isAtLastTap(event)) { // a drag is no tap
+      this.lastTap.time = -Infinity;
+      this.isStill = false;
+    }
     const before = this.fingers();
     Object.assign(last, { x: event.clientX, y: event.clientY });
     const after = this.fingers();
@@ -130,7 +143,8 @@ class Controls {
 
   keyDown(event) {
     this.fast = event.shiftKey; // which may be pressed after the key that moves
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.ctrlKey || event.metaKey || event.altKey
+        || event.target.matches?.("[type=text], [type=range]")) return;
     if (event.code in FLY_KEYS || event.code in RISE_KEYS) {
       event.preventDefault();
       this.keys.add(event.code);
@@ -138,8 +152,8 @@ class Controls {
       this.changed();
     } else if (!event.repeat) {
       const act = event.key === "?" ? "explain" // wherever the keyboard has it
-        : { KeyR: "reset", KeyO: "orbit", KeyF: "fly", KeyH: "explain" }[event.code];
-      if (act) document.getElementById(act).click();
+        : KEYS[event.code];
+      document.getElementById(act)?.click();
     }
   }
 

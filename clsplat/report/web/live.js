@@ -8,16 +8,14 @@ const MOST_PIXELS = 1.6e6, QUICK = 120; // of a frame; milliseconds that one may
 const COARSEST = 0.2; // share of the pixels along a side
 
 const pause = (milliseconds) => new Promise((wake) => setTimeout(wake, milliseconds));
-const element = (name) => document.getElementById(name);
 const say = (text) => { element("notice").textContent = text; };
 
 class LiveView {
   constructor(canvas, view) {
     this.canvas = canvas;
     this.camera = new ReaderCamera(view);
-    this.controls = new Controls(canvas, this.camera, () => this.moved(),
-                                 (x, y) => this.pick(x, y));
     Object.assign(this, { detail: 0.5, movedAt: 0, status: {}, ended: false, stale: true });
+    this.tools = new Tools(this);
     new ResizeObserver(() => { this.stale = true; }).observe(canvas);
     this.pollStatus();
     this.showFrames();
@@ -43,8 +41,8 @@ class LiveView {
   async showFrames() {
     for (let before = performance.now(); !this.ended; ) {
       const now = performance.now();
-      if (this.controls.isFlying) {
-        this.controls.fly((now - before) / 1000);
+      if (this.tools.controls.isFlying) {
+        this.tools.controls.fly((now - before) / 1000);
         this.moved();
       }
       before = now;
@@ -73,6 +71,7 @@ class LiveView {
     const picture = await createImageBitmap(await answer.blob());
     Object.assign(this.canvas, { width, height });
     this.canvas.getContext("2d").drawImage(picture, 0, 0);
+    this.tools.update();
     this.coarse = detail < 1;
     this.shown = (this.shown || 0) + 1;
     if (!this.ended) say(""); // the notice of the end stays, whatever was on its way
@@ -82,16 +81,15 @@ class LiveView {
     }
   }
 
-  async pick(x, y) {
+  // See Tools.
+  async surfaceAt(x, y) {
     const { clientWidth, clientHeight } = this.canvas;
     const camera = this.camera.pinhole(clientWidth, clientHeight);
     const ray = this.camera.ray(x, y, clientWidth, clientHeight);
     const centre = [camera.centre[0] - x + 1, camera.centre[1] - y + 1]; // of 2 x 2 pixels
     const answer = await this.ask("depth", { ...camera, width: 2, height: 2, centre });
     const { depth } = answer ? await answer.json() : {};
-    if (!depth) return;
-    this.camera.lookAt(plus(camera.position, ray, depth / dot(ray, camera.rotation[2])));
-    this.moved();
+    return depth && plus(camera.position, ray, depth / dot(ray, camera.rotation[2]));
   }
 
   async pollStatus() {

@@ -10,16 +10,21 @@ precision highp usampler2D;
 #define LOW_PASS 0.3
 #define AREA_RATIO_MIN 2.5e-5
 
-uniform usampler2D places, shapes, rest;
+uniform usampler2D places, shapes, rest, order;
+uniform uint drawn; // of `order`, from back to front
 uniform mat3 rotation; // columns: right, down, forward
 uniform vec3 position;
 uniform vec2 focal, centre, size;
 uniform vec4 ratios; // lowest x/z and y/z of the Jacobian, and highest
 uniform float near;
 uniform vec3 log_scales[2], colours[2]; // the value of byte 0, and what byte 255 adds
+uniform mat3 cut_axes; // columns: the axes of a box, outside of which nothing is drawn
+uniform vec3 cut_low, cut_high; // its limits along them
+uniform vec3 up, palette[5]; // of the lowest to the highest
+uniform vec2 heights; // the lowest, and how much the highest is above it; 0: no colours of heights
 uniform vec3 reaches; // of the harmonics of degree 1, 2 and 3: the value of byte 128 + 127
 
-in uint gaussian;
+uint gaussian;
 out vec2 across; // in standard deviations
 flat out vec4 colour; // and opacity
 
@@ -85,9 +90,15 @@ vec3 harmonics(vec3 d) {
 
 void main() {
     gl_Position = vec4(2.0, 2.0, 2.0, 1.0); // outside, until it is known to be seen
+    uint rank = uint(gl_InstanceID) * BUNDLE + uint(gl_VertexID >> 2);
+    if (rank >= drawn)
+        return;
+    gaussian = texelFetch(order, texel(rank, order), 0).x;
     uvec4 place = texelFetch(places, texel(gaussian, places), 0);
     uvec2 shape = texelFetch(shapes, texel(gaussian, shapes), 0).xy;
-    vec3 away = uintBitsToFloat(place.xyz) - position;
+    vec3 here = uintBitsToFloat(place.xyz), within = here * cut_axes, away = here - position;
+    if (any(lessThan(within, cut_low)) || any(greaterThan(within, cut_high)))
+        return;
     vec3 p = away * rotation;
     if (p.z <= near)
         return;
@@ -114,7 +125,7 @@ void main() {
     vec2 axis = half_difference > 0.0 ? vec2(half_difference + root, xy)
         : vec2(xy, root - half_difference);
     axis = root > 1e-6 * mean ? normalize(axis) : vec2(1.0, 0.0);
-    vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
+    vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1 & 1) * 2.0 - 1.0;
     across = corner * sqrt(cutoff);
     vec2 offset = axis * sqrt(longer) * across.x
         + vec2(-axis.y, axis.x) * sqrt(max(shorter, 0.0)) * across.y;
@@ -123,6 +134,10 @@ void main() {
 #if DEGREE > 0
     shade += harmonics(normalize(away));
 #endif
+    if (heights.y > 0.0) {
+        float step = 4.0 * clamp((dot(here, up) - heights.x) / heights.y, 0.0, 1.0);
+        shade = mix(palette[int(step)], palette[min(int(step) + 1, 4)], fract(step));
+    }
     colour = vec4(max(shade, vec3(0.0)), opacity);
     gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
 }
