@@ -13,6 +13,7 @@ from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering import bin, blend, project
 from clsplat.rendering.cull import cull
+from clsplat.rendering.ray_depth import MOST_NUMBERED, number_splats, ray_depth
 
 Bands = tuple[range | None, ...]  # ranges of tiles; None is all tiles
 
@@ -118,9 +119,9 @@ class Renderer:
         exposure : a response, with which the frame also is `exposed`.
         features : real[N, C], blended over zeros in place of the colours, so that the image is
             real[C, H, W]; C is 1 to MOST_CHANNELS. Without an exposure.
-        depth_percent : the depth channel is the depth at which the transmittance falls to so many
-            per cent, in place of the sum of weight times depth, which 0 is; such frames have no
-            adjoint.
+        depth_percent : the depth channel is the depth at which a pixel's ray passes the gaussian
+            where the transmittance falls to so many per cent (ray_depth.py), in place of the sum of
+            weight times depth, which 0 is; such frames have no adjoint.
         """
         device = self.device
         counts = new_counts(device) if counts is None else counts
@@ -135,6 +136,9 @@ class Renderer:
         splats, depth_keys = project.project(device, rows, visible, counts, camera, sh_degree,
                                              self._project_defines)
         order = stable_sort(device, depth_keys, counts)[1] if bin.NEEDS_ORDER.of(device) else None
+        numbered = None
+        if with_depth and depth_percent and len(visible) <= MOST_NUMBERED:
+            numbered = number_splats(device, splats, self._project_defines)
 
         def binned(band: range | None, limit: int = bin.PAIR_LIMIT) -> bin.Pairs:
             return bin.bin_splats(device, splats, counts, order, width, height, band, limit,
@@ -151,10 +155,13 @@ class Renderer:
         blended, of_visible = None, None if features is None else blend.Features(features, visible)
         defines = blend.blend_defines(with_depth, self.smooth_cutoff, depth_percent)
         for band in bands:
-            blended = blend.blend(device, splats, pairs or binned(band), width, height,
-                                  self._background(of_visible),
-                                  defines, blended, exposure, of_visible)
+            blended = blend.blend(device, splats if numbered is None else numbered,
+                                  pairs or binned(band), width, height,
+                                  self._background(of_visible), defines, blended, exposure,
+                                  of_visible)
         assert blended is not None  # an image has at least one band
+        if numbered is not None:
+            ray_depth(device, rows, visible, camera, blended.depth, self._project_defines)
         return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
                      with_depth, depth_percent, of_visible)
 

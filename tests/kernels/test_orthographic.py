@@ -8,6 +8,7 @@ from tests.checks import close
 from tests.kernels import chain
 from tests.reference.blend import blend, fragile_pixels
 from tests.reference.project import project
+from tests.reference.ray_depth import ray_depth
 from tests.rendering.test_slabs import downloaded, faint, in_slabs
 
 CHOICES = dict(orthographic=True, depth_percent=50)
@@ -31,8 +32,10 @@ def test_image_and_depth_at_a_share_of_the_light(device, name, percent):
     splats = project(case["rows"], case["camera"], case["degree"], case["near"])
     order, size = chain.depth_order(splats), chain.size_of(case)
     fragile = fragile_pixels(splats, order, *size)
-    image, left, depth = blend(splats, order, *size, case["background"], with_depth=True,
-                               depth_at=percent / 100)
+    numbered = {**splats, "depths": np.arange(1, len(splats["depths"]) + 1)}
+    image, left, number = blend(numbered, order, *size, case["background"], with_depth=True,
+                                depth_at=percent / 100)
+    depth = ray_depth(case["rows"], case["camera"], number.astype(int), case["near"])
     _, _, frame = chain.render(device, case, with_depth=True,
                                **{**CHOICES, "depth_percent": percent})
     assert sorted(frame.visible.download()) == sorted(order) and len(order) > 5

@@ -38,6 +38,7 @@ from clsplat.primitives.reduce import sum_columns
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering import blend as blending
 from clsplat.rendering import project as projection
+from clsplat.rendering import ray_depth as along_rays
 from clsplat.rendering.bin import bin_splats
 from clsplat.rendering.contribution import contribution as contributions
 from clsplat.rendering.cull import cull as cull_rows
@@ -298,6 +299,17 @@ def signed_distance(city: CityFrame) -> Cases:
         city.frame.blended.transmittance, city.frame.image)}
 
 
+def ray_depth(city: CityFrame) -> Cases:
+    """Numbers in place of the splats' depths, and the depths of all pixels by random numbers of
+    splats."""
+    frame, count = city.frame, len(city.frame.visible)
+    numbers = np.random.default_rng(0).integers(1, count + 1, frame.image.shape[1:])
+    depth = city.device.upload(numbers.astype(np.float64))
+    return {"numbers": partial(along_rays.number_splats, city.device, frame.splats, DEFINES),
+            "depths": partial(along_rays.ray_depth, city.device, city.rows, frame.visible,
+                              city.camera, depth, DEFINES)}
+
+
 def sort(city: CityFrame) -> Cases:
     """The stable sort of a frame's visible gaussians by depth, which the item form of binning
     needs."""
@@ -348,5 +360,5 @@ def match(city: CityFrame) -> Cases:
 FAMILIES: dict[str, Callable[[CityFrame], Cases]] = {
     function.__name__: function for function in (
         adam, batch, bin, blend, compact, contribution, cull, depth_map, exposure, frequency,
-        gather, image_loss, match, noise, pages, pose, project, reduce, regularise, reproject, sift,
-        signed_distance, sort, sweep)}
+        gather, image_loss, match, noise, pages, pose, project, ray_depth, reduce, regularise,
+        reproject, sift, signed_distance, sort, sweep)}
