@@ -12,6 +12,7 @@ Triangles = NDArray[np.integer]
 CELLS = (16, 8, 4, 2)  # their sides, voxels; the largest that may be merged is
 FLAT = 0.2  # voxels, the root of the mean squared distance from the planes of triangles, at most
 ALIKE = 8.0  # of 255, the standard deviation of colours, at most
+ROUNDS, SLIVER = 8, 0.5  # of taking folds apart; voxels squared, of a triangle that is none
 STIFF = 1e-3  # share of the largest eigenvalue: so little holds a vertex where planes do not
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of axes, of a symmetric matrix
 
@@ -37,8 +38,8 @@ def decimated(vertices: Floats, colours: Floats, triangles: Triangles, keep: NDA
 
     Returns
     -------
-    The same four for the vertices that are left; triangles that became an edge, a point, or equal
-    to another one, are left out.
+    The same four for the vertices that are left; triangles that became an edge or a point are left
+    out, and both of two that became equal.
     """
     edges, counts = edges_of(triangles)
     free = ~keep
@@ -46,7 +47,7 @@ def decimated(vertices: Floats, colours: Floats, triangles: Triangles, keep: NDA
     middle = vertices.mean(axis=0) if len(vertices) else np.zeros(3)
     quadrics = _quadrics(vertices - middle, triangles)  # squares of small numbers keep digits
     cluster, places, tints = np.full(len(vertices), -1), [], []
-    number = 0
+    now, cell, number = vertices.copy(), np.full(len(vertices), -1), 0
     for side in CELLS:
         rows = np.flatnonzero(free & (cluster < 0))
         _, of = np.unique(np.floor(vertices[rows] / side).astype(np.int64), axis=0,
@@ -63,6 +64,17 @@ def decimated(vertices: Floats, colours: Floats, triangles: Triangles, keep: NDA
         spread = (sums(colours[rows] ** 2) / size[:, None] - tint**2).max(axis=1, initial=0)
         good = ((size > 1) & (error < FLAT**2) & (spread < ALIKE**2)
                 & (np.abs(place - mean).max(axis=1, initial=0) < side))
+        cell[rows] = of
+        for _ in range(ROUNDS):  # without cells that would fold the surface
+            trial = now.copy()
+            trial[rows[good[of]]] = place[of[good[of]]]
+            folding = cell[triangles[_turned(vertices, trial, triangles)]]
+            folding = folding[folding >= 0]
+            if not good[folding].any():
+                break
+            good[folding] = False
+        now[rows[good[of]]] = place[of[good[of]]]
+        cell[rows] = -1
         names = np.cumsum(good) - 1 + number
         cluster[rows] = np.where(good[of], names[of], -1)
         places.append(place[good])
@@ -75,8 +87,18 @@ def decimated(vertices: Floats, colours: Floats, triangles: Triangles, keep: NDA
     kept = np.concatenate([np.zeros(number, bool), keep[alone]])
     faces = cluster[triangles]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    return moved, tinted, faces[np.sort(first)], kept
+    # two that have become the same are a fold: without both, no edge is open that was not
+    _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True,
+                                 return_counts=True)
+    return moved, tinted, faces[np.sort(first[counts % 2 == 1])], kept
+
+
+def _turned(before: Floats, after: Floats, triangles: Triangles) -> NDArray[np.bool_]:
+    """bool[M]: which triangles face the other way once their vertices have moved, but slivers."""
+    old, new = (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+                for corners in (before[triangles], after[triangles]))
+    large = np.einsum("ij,ij->i", new, new) > (2 * SLIVER) ** 2
+    return large & (np.einsum("ij,ij->i", old, new) < 0)
 
 
 def _quadrics(vertices: Floats, triangles: Triangles) -> Floats:

@@ -75,3 +75,20 @@ def test_colours_stay_apart():
     assert ((found[:, 0] > 20.2) == (tinted[:, 0] == 200)).all()
     assert not decimated(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), int),
                          np.zeros(0, bool))[2].size
+
+
+def test_a_flat_sheet_is_not_folded_and_gets_no_holes():
+    """Exactly flat, so that large cells become one, beside a border that stays."""
+    x, y, z = np.indices((70, 70, 8))
+    vertices, triangles, *_ = skimage.measure.marching_cubes((z - 3.0002 + 1e-3 * np.sin(
+        7.0 * x + 3 * y)).astype(np.float32), 0)
+    found, _, fewer, _ = decimated(vertices.astype(float), np.full(vertices.shape, 90.0), triangles,
+                                   np.zeros(len(vertices), bool))
+    assert len(fewer) < 0.3 * len(triangles)
+    corners = found[fewer]
+    up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] / 2
+    assert abs(abs(up).sum() - 69**2) < 0.03 * 69**2
+    assert min((up < 0).mean(), (up > 0).mean()) < 0.05
+    edges, counts = edges_of(fewer)
+    border = found[np.unique(edges[counts == 1])][:, :2]
+    assert (np.minimum(border, 69 - border).min(axis=1) < 1e-3).all()
