@@ -97,8 +97,9 @@ def _turned(before: Floats, after: Floats, triangles: Triangles) -> NDArray[np.b
     """bool[M]: which triangles face the other way once their vertices have moved, but slivers."""
     old, new = (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
                 for corners in (before[triangles], after[triangles]))
-    large = np.einsum("ij,ij->i", new, new) > (2 * SLIVER) ** 2
-    return large & (np.einsum("ij,ij->i", old, new) < 0)
+    turned: NDArray[np.bool_] = (np.einsum("ij,ij->i", old, new) < 0) & (
+        np.einsum("ij,ij->i", new, new) > (2 * SLIVER) ** 2)
+    return turned
 
 
 def _quadrics(vertices: Floats, triangles: Triangles) -> Floats:
