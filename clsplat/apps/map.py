@@ -117,7 +117,7 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         if interval:
             progress.phase("drawing contour lines")
         lines = contour_lines(heights, interval)  # first of all: there may be too many of them
-        files, ground = [ORTHOPHOTO, SURFACE, PREVIEW], {}  # type: list[str], dict[str, Any]
+        files, ground = [ORTHOPHOTO, SURFACE, PREVIEW], dict[str, Any]()
         if terrain is not None:
             progress.phase("finding the ground")
             bare = Raster(Path(scratch) / "bare", grid, crs, dict(zip(GROUND_OF, (unit, None))),
