@@ -46,7 +46,7 @@ class Measure {
     if (!points.length) return this.isTaking ? "Click the surface to set points." : "";
     if (points.length < 2) return this.tools.coordinates(points[0]);
     const { length, rise, ground, area, mapArea } = Measure.of(points, up);
-    const lines = [`Length ${shown(length)} ${unit}`, `Along the ground ${shown(ground)} ${unit}`,
+    const lines = [`Length ${shown(length)} ${unit}`, `Length on a map ${shown(ground)} ${unit}`,
                    `Height difference ${shown(rise)} ${unit}`];
     if (points.length > 2) lines.push(`Area ${shown(area)} ${unit}²`,
                                       `Area on a map ${shown(mapArea)} ${unit}²`);
@@ -60,7 +60,7 @@ class Measure {
       ([x, y]) => `<circle cx="${x.toFixed(1)}" cy="${y.toFixed(1)}" r="4"/>`).join("");
   }
 
-  // Of a line through points: its length, that along the ground, how much higher its end is than its
+  // Of a line through points: its length, that on a map, how much higher its end is than its
   // begin, and the area that it encloses with its end joined to its begin, on the plane that fits it
   // and on the level one.
   static of(points, up) {
