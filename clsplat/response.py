@@ -77,14 +77,25 @@ def corner_radius(camera: Camera) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Lenses:
-    """The lenses of views."""
+    """The lenses of views.
 
-    of: NDArray[np.int64]  # int[V], the lens of each view
-    rows: NDArray[np.float64]  # float64[L, 4], the vignetting of each lens
+    Attributes
+    ----------
+    of : int[V], the lens of each view.
+    rows : float64[L, 4], the vignetting of each lens.
+    """
+
+    of: NDArray[np.int64]
+    rows: NDArray[np.float64]
 
     @classmethod
     def of_cameras(cls, cameras: Sequence[Camera]) -> Lenses:
-        """Lenses that change nothing, one for all photos of one shape and one focal length."""
+        """Lenses that change nothing, one for all photos of one shape and one focal length.
+
+        Parameters
+        ----------
+        cameras : of the views.
+        """
         kinds = [lens_kind(camera) for camera in cameras]
         known = {kind: number for number, kind in enumerate(dict.fromkeys(kinds))}
         of = np.array([known[kind] for kind in kinds])

@@ -15,7 +15,12 @@ class Gaussians(gaussians.Gaussians):
 
     @classmethod
     def of(cls, model: gaussians.Gaussians) -> Gaussians:
-        """The same gaussians as an object of this class, which shares the arrays of `model`."""
+        """The same gaussians as an object of this class.
+
+        Parameters
+        ----------
+        model : whose arrays are shared, not copied.
+        """
         return model if isinstance(model, cls) else cls(model.rows, model.sh_degree, model.offset)
 
     @classmethod

@@ -176,7 +176,7 @@ class Renderer:
         return api.Gaussians(rows, self.model.sh_degree, self.model.offset)
 
     def forward(self, camera: Camera, *, depth: bool = False, features: Any = None) -> Frame:
-        """Render from a camera; the Frame is for `backward`.
+        """Render from a camera.
 
         Parameters
         ----------
@@ -184,6 +184,10 @@ class Renderer:
         depth : whether the frame has depths.
         features : float[N, C], any numbers of the gaussians, which are blended in place of the
             colours over zeros; C is 1 to 16.
+
+        Returns
+        -------
+        A Frame, for `backward`.
         """
         packed = self._pipeline.pack(_in_frame_of(self.model, camera))
         if features is not None:

@@ -80,6 +80,10 @@ class Run(run.Run):
         align : whether the held-out photos are also compared from poses that are aligned with them
             (`clsplat eval --align`).
 
+        Returns
+        -------
+        The Score.
+
         Raises
         ------
         clsplat.ClsplatError : the run has no model or holds out no view.

@@ -55,7 +55,12 @@ class Scene(scene.Scene):
 
     @classmethod
     def of(cls, data: scene.Scene) -> Scene:
-        """The same scene as an object of this class, which shares the arrays of `data`."""
+        """The same scene as an object of this class.
+
+        Parameters
+        ----------
+        data : whose arrays are shared, not copied.
+        """
         if isinstance(data, cls):
             return data
         named = {each.name: getattr(data, each.name) for each in fields(data)}

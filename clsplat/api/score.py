@@ -102,6 +102,10 @@ def evaluate(model: Gaussians, scene: Scene, *, device: OpenedDevice | None = No
     align : whether the photos are also compared from poses that are aligned with them (see `clsplat
         eval --align`).
 
+    Returns
+    -------
+    The Score.
+
     Raises
     ------
     clsplat.ClsplatError : if no view is held out, or a photo or the network cannot be read.

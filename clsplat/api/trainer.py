@@ -38,6 +38,10 @@ def train(scene: Scene | str | PathLike[str], options: TrainOptions | None = Non
     ----------
     scene, options, output, device, parts, schedule, overwrite, callbacks : as for Trainer.
 
+    Returns
+    -------
+    The Run.
+
     Raises
     ------
     clsplat.ClsplatError : if the scene, an option or the folder cannot be used.

@@ -12,7 +12,6 @@ import click
 
 from clsplat.cli.flags import PATH, Parsed, check_free, device_flag, moved_scene_flag
 
-BASES = "fit", "lowest", "mean"
 LENGTHS = "length", "surface_length", "lowest", "mean", "highest"
 VOLUMES = "above", "below", "volume", "fill", "cut", "net", "net_noise"
 HEADS = {"surface_length": "along surface", "net_noise": "noise of net"}
@@ -20,6 +19,7 @@ HEADS = {"surface_length": "along surface", "net_noise": "noise of net"}
 
 def parsed_base(text: str) -> str | float:
     """A word of BASES, or a finite height."""
+    from clsplat.apps.measure import BASES
     if text in BASES:
         return text
     try:

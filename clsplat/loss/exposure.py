@@ -35,10 +35,15 @@ STEP = Kernel("exposure.cl", "exposure_step", groups("1", "16"), view="uint", ra
 class Exposures:
     """Responses of V views (clsplat/response.py), and their Adam.
 
-    `pull` is the weight in the loss of mean((E - I)^2) over the 12 entries E of a view's transform,
-    and of the mean square of the three numbers of its lens's vignetting. `initial` float64[V, 3, 4]
-    are the transforms [M | t] at the start; None: identities. Unless `learns`, responses do not
-    change at all. `lenses` are those of the views, whose vignetting is learned; None: it is not.
+    Parameters
+    ----------
+    views : how many views.
+    rate : learning rate.
+    pull : weight in the loss of mean((E - I)^2) over the 12 entries E of a view's transform, and of
+        the mean square of the three numbers of its lens's vignetting.
+    initial : float64[V, 3, 4], the transforms [M | t] at the start; None: identities.
+    learns : whether the responses change at all.
+    lenses : the lenses of the views, whose vignetting is learned; None: it is not.
 
     Attributes
     ----------

@@ -75,13 +75,19 @@ class Alignment:
 
 def aligned(places: ArrayLike, positions: ArrayLike, vertical: Vertical, *,
             std: ArrayLike | None = None, is_control: bool = False) -> Alignment | None:
-    """Align places float[N, 3] in a reconstruction, camera centres or control points, with their
-    measured positions float[N, 3]: east, north, up, metres; nan for what is unknown.
+    """Align places in a reconstruction with their measured positions.
 
-    `std` float[N, 3] are the standard deviations of the positions, of which only ratios count;
-    None: all are equal. `is_control` : whether heights are as right as the rest, as those of ground
-    control points are.
+    Parameters
+    ----------
+    places : float[N, 3], in the reconstruction: camera centres or control points.
+    positions : float[N, 3], east, north, up, metres; nan for what is unknown.
+    vertical : what is known of it in the reconstruction.
+    std : float[N, 3], metres, standard deviations of the positions, of which only ratios count;
+        None: all are equal.
+    is_control : whether heights are as right as the rest, as those of ground control points are.
 
+    Returns
+    -------
     None if the positions do not determine where the reconstruction lies: they are fewer than three,
     at one place, or contradict each other. A result that stands is preferred to one that does not,
     even if it fits worse.

@@ -51,16 +51,22 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
                          adjusts: bool = False, keep_focal: bool = False) -> Placed:
     """Turn, scale and move a reconstruction in place, so that its axes are east, north and up.
 
-    Ground control points decide if there are any, otherwise GPS. The reconstruction has the cameras
-    of the photos as they were taken, before undistortion, and `metadata` are by its names of
-    photos; some may be missing. `control` has the coordinate reference system, too; "": the UTM
-    zone. `up` is float[3], in the reconstruction; None: by gimbals or cameras. If it `adjusts`,
-    cameras and points are then adjusted to the control points, or else to the photos' positions;
-    otherwise the reconstruction keeps its shape. `keep_focal` : whether that adjustment keeps focal
-    lengths.
+    Ground control points decide if there are any, otherwise GPS.
 
-    NotGeoreferenced if nothing determines the place, or the result cannot be right. After `adjusts`
-    the reconstruction may have changed, and is of no use.
+    Parameters
+    ----------
+    reconstruction : with the cameras of the photos as they were taken, before undistortion.
+    metadata : of the photos, by their names in the reconstruction; some may be missing.
+    control : ground control points, and the coordinate reference system; "": the UTM zone.
+    up : float[3], in the reconstruction, the direction that points up; None: by gimbals or cameras.
+    adjusts : whether cameras and points are then adjusted to the control points, or else to the
+        photos' positions; otherwise the reconstruction keeps its shape.
+    keep_focal : whether that adjustment keeps focal lengths.
+
+    Raises
+    ------
+    NotGeoreferenced : nothing determines the place, or the result cannot be right. After
+        `adjusts` the reconstruction may have changed, and is of no use.
     """
     images, points = _content(reconstruction)
     known_up = _vertical(images, points, metadata, up)

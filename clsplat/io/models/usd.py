@@ -34,8 +34,7 @@ def write_usd(path: Path, gaussians: Gaussians, notes: Notes) -> None:
         raise InputError(f"{path}: OpenUSD needs usd-core; `pip install usd-core`") from None
     rows, origin = stored.stored_rows(gaussians)
     single = {name: np.ascontiguousarray(values, np.float32) for name, values in rows.items()}
-    scales = np.exp(np.clip(single["log_scales"], -stored.LARGEST_LOG_SCALE,
-                            stored.LARGEST_LOG_SCALE))
+    scales = stored.scales_of(single["log_scales"])
     xyzw = np.ascontiguousarray(np.roll(stored.unit(single["quaternions"]), -1, axis=1), np.float32)
     harmonics = np.concatenate([single["sh_constant"][:, None], single["sh_rest"]], axis=1)
 

@@ -168,6 +168,11 @@ def log_scales_of(scales: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.clip(np.log(scales), -LARGEST_LOG_SCALE, LARGEST_LOG_SCALE)
 
 
+def scales_of(log_scales: NDArray[np.floating]) -> Any:
+    """The standard deviations of logarithms, all finite and above zero."""
+    return np.exp(np.clip(log_scales, -LARGEST_LOG_SCALE, LARGEST_LOG_SCALE))
+
+
 def colours_of(sh_constant: NDArray[np.floating]) -> NDArray[np.float64]:
     """The colours float64[N, 3] of the constant harmonics; most are 0 to 1."""
     return 0.5 + SH_C0 * sh_constant.astype(np.float64)

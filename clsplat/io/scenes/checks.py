@@ -21,13 +21,16 @@ USABLE = f"finite and below {LARGEST_COORDINATE:g}"
 
 def checked_scene(path: Path, name: str, model: Mapping[str, NDArray[Any]],
                   sources: Sequence[Path]) -> Scene:
-    """Check plain arrays and build their scene, not recentred, with its views sorted by name;
-    messages name the file `path`, and `sources` are the photos of the V views.
+    """Check plain arrays and build their scene, not recentred, with its views sorted by name.
 
-    `model` has names [V]; rotations float64[V, 3, 3] and translations float64[V, 3], world to
-    camera; focals and centres float64[V, 2] and sizes int[V, 2], pixels; lenses [V] (Lens or None);
-    perhaps points float64[N, 3] with colours uint8[N, 3], and with observations int[M, 2], rows
-    (point, view) in any order.
+    Parameters
+    ----------
+    path : the file that messages name.
+    model : names [V]; rotations float64[V, 3, 3] and translations float64[V, 3], world to camera;
+        focals and centres float64[V, 2] and sizes int[V, 2], pixels; lenses [V] (Lens or None);
+        perhaps points float64[N, 3] with colours uint8[N, 3], and with observations int[M, 2], rows
+        (point, view) in any order.
+    sources : photos of the V views.
     """
     names = list(map(str, model["names"]))
     if not names:
