@@ -65,7 +65,6 @@ def find_borders(partition: Partition) -> list[Border]:
     return borders
 
 
-
 def find_seams(partition: Partition, scene: Scene, views: Sequence[View], merged: Model,
                reference: Model) -> dict[str, Any]:
     """How visible the seams between blocks are. All models are in the scene's frame.
@@ -99,17 +98,18 @@ def find_seams(partition: Partition, scene: Scene, views: Sequence[View], merged
         if valid is not None and not (known := known & valid).any():
             return []
         coordinates = space.to(place[known] + scene.offset)
+        near = [(number, inside) for number, border in enumerate(borders)
+                if len(inside := border.pixels(coordinates))]
+        if not near:
+            return []
         photo = photo_of(view)
         wrong = [((fit_colour(shown, photo, valid) - photo) ** 2).mean(axis=-1)[known]
                  for shown in (image, other)]
         values = np.stack([np.ones_like(wrong[0]), *wrong], axis=-1)
         away = np.ones(len(values), bool)
-        near = [(number, inside) for number, border in enumerate(borders)
-                if len(inside := border.pixels(coordinates))]
         for _, inside in near:
             away[inside] = False
-        if near:
-            near.append((len(borders), np.flatnonzero(~away)))
+        near.append((len(borders), np.flatnonzero(~away)))
         return [(number, np.stack([values[inside].sum(axis=0), values[away].sum(axis=0)]))
                 for number, inside in near]
 

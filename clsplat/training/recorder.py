@@ -41,20 +41,21 @@ class Clock:
     def restart(self, before: float = 0.0) -> None:
         """Exclude the time since the last pause from training, but for seconds `before`."""
         self._train_seconds += before
-        self._since = time.perf_counter() - self._device.build_seconds
+        self._since: float | None = time.perf_counter() - self._device.build_seconds
 
     @contextmanager
     def paused(self) -> Iterator[None]:
         """Exclude the time of the block from training."""
         self._device.finish()
-        self._train_seconds = self.trained()
+        self._train_seconds, self._since = self.trained(), None
         yield
         self.restart()
 
     def trained(self) -> float:
         """Seconds of training so far, without the compilation of kernels."""
-        return (self._train_seconds + time.perf_counter() - self._device.build_seconds
-                - self._since)
+        since = 0.0 if self._since is None else (
+            time.perf_counter() - self._device.build_seconds - self._since)
+        return self._train_seconds + since
 
     def elapsed(self) -> float:
         """Wall seconds since the run began, including those before a resume."""
