@@ -193,8 +193,8 @@ def train_block(block: BlockFolder, device: Device | None = None,
                     return (f"waits at {place}: train {', '.join(lacking[:MOST_NAMED])}{more} too, "
                             "then this block again")
                 if not begun:
-                    own = BlockRun(block, scene, done, owned_at(block, scene, options, done)
-                                   if exchanges_now else None)
+                    own = BlockRun(block, scene, done,
+                                   owned_at(block, done) if exchanges_now else None)
                     begun = Begun(training_of(
                         scene.scene, options, opened, own, progress, (stop,),
                         scene.parts(options.exposure == "on")), own)

@@ -6,12 +6,14 @@ from collections.abc import Iterable, Iterator
 from functools import partial
 from itertools import groupby
 from operator import itemgetter
+from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.cities.block import decided_by, options_of_blocks
+from clsplat.cities.choose import block_start, choose_gaussians, filled
 from clsplat.cities.city import City
 from clsplat.cities.exchange import exchange_steps, most_exchanges
 from clsplat.config.option import differences, plain
@@ -28,10 +30,10 @@ from clsplat.io.runs.run import read_exposures
 from clsplat.io.scenes.write import link_again
 from clsplat.loss.image_loss import image_loss, loss_value
 from clsplat.options import LEAST_BYTES, bytes_of
-from clsplat.partition.blocks import block_start, filled, find_windows, owned_shares
 from clsplat.partition.make import make_partition
 from clsplat.partition.options import BLOCK_STEPS, PartitionOptions
 from clsplat.partition.region import Partition, world_of
+from clsplat.partition.windows import find_windows, owned_shares
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Rows
 from clsplat.report.figures.map import write_map
@@ -96,13 +98,18 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
     exchanges = 0 if options.time_budget or len(steps) < 2 else min(
         requested.get("exchanges") or 0, *(most_exchanges(round(number)) for number in steps))
 
+    device_in_use = Lock()
+
     def write(number: int) -> None:
-        region, chosen = partition.regions[number], partition.views[number]
-        own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
+        region, views = partition.regions[number], partition.views[number]
+        own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in views),
                                   observations=None)
         windows = find_windows(gaussians, scene, region, own.views)
         own = own.cropped(windows).reduced(options.downscale, options.max_resolution)
-        part = block_start(gaussians, scene, region, own.views)
+        with device_in_use:
+            chosen = choose_gaussians(city.device, gaussians.positions, gaussians.log_scales, scene,
+                                      region, own.views)
+        part = block_start(gaussians, chosen)
         if dense:
             part = filled(part, dense, scene, region, options.max_gaussians)
         given = block_steps(city, steps[number], smallest_size(own.views), facts)
@@ -112,9 +119,9 @@ def cut_into_blocks(city: City, partition_options: PartitionOptions) -> Table:
             each = bytes_of(options.memory_budget) // requested.get("sharing", 1)
             given["memory_budget"] = f"{max(LEAST_BYTES, each) >> 20}MiB"
         folder.write_block(
-            number, scene, chosen, region, windows, part.gaussians, exposures,
+            number, scene, views, region, windows, part.gaussians, exposures,
             options_of_blocks(given, decided),
-            {**folder.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
+            {**folder.identity(), "views": len(views), "own": part.own, "margin": part.margin,
              "surroundings": part.surroundings,
              **({DENSE: part.dense} if dense else {}),
              OTHERS: sorted(set(owner[part.indices].tolist()) - {-1, number}),

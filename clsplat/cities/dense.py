@@ -19,7 +19,7 @@ def find_dense_gaussians(city: City, progress: SilentProgress | None = None) -> 
     """Write CITY/dense.ply, if one run of the whole scene would begin at dense points.
 
     They are found once for the whole, as photos are in several blocks, which begin with those that
-    stand in gaps of the coarse model (partition/blocks.py). A city that is cut already stays as it
+    stand in gaps of the coarse model (cities/choose.py). A city that is cut already stays as it
     is. InputError if they were requested, and cannot be had.
     """
     if city.folder.has_partition or city.folder.dense.is_file():

@@ -19,7 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clsplat.cities.choose import choose_gaussians
 from clsplat.cities.scene import BlockScene
+from clsplat.device import Device
 from clsplat.edit.select import selected
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -31,7 +33,6 @@ from clsplat.io.records import with_format
 from clsplat.io.runs.city import BlockFolder, CityFolder
 from clsplat.io.runs.run import STATE, RunFolder
 from clsplat.options import SceneOptions
-from clsplat.partition.blocks import choose_gaussians, trainable
 from clsplat.partition.region import Region, in_parts, world_of
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import BY_GAUSSIAN, Arrays, Saved, check_arrays
@@ -173,16 +174,13 @@ def remove_passed(blocks: Sequence[BlockFolder]) -> None:
                 block.exchanged(number).unlink(missing_ok=True)
 
 
-def owned_at(block: BlockFolder, own: BlockScene, options: SceneOptions, number: int) -> Saved:
-    """What a block owned at an exchange, as a checkpoint that a training takes up there.
-
-    `block`, `own` : its folder, and the block as it was read; `options`, `number` : of its
-    training; of the exchange, from 1."""
+def owned_at(block: BlockFolder, number: int) -> Saved:
+    """What a block owned at an exchange, from 1, as a checkpoint that a training takes up there."""
     arrays, frame = _owned(block, number, block.read())
-    state = frame[TRAINING]
-    trains = trainable(_as_trained(own, options), own.region, arrays[POSITIONS], arrays[SCALES])
-    return {**arrays, "frozen.rows": (~trains).astype(np.uint32),
-            "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
+    state, count = frame[TRAINING], len(arrays[POSITIONS])
+    # which are frozen the exchange finds
+    return {**arrays, "frozen.rows": np.zeros(count, np.uint32),
+            "adam.last_step": np.full(count, state["iteration"], np.uint32)}, state
 
 
 def exchange(training: Training, run: BlockRun, others: Sequence[BlockFolder],
@@ -197,7 +195,7 @@ def exchange(training: Training, run: BlockRun, others: Sequence[BlockFolder],
         began with them.
     options : of the training.
     """
-    rows = _beyond(run.none, run.block, run.own, others, options, run.number)
+    rows = _beyond(training.session.device, run, others, options)
     by_kind: dict[str, Arrays] = {kind: {} for kind in BY_GAUSSIAN}
     for name, values in rows.items():
         kind, _, field = name.partition(".")
@@ -205,29 +203,26 @@ def exchange(training: Training, run: BlockRun, others: Sequence[BlockFolder],
     training.session.step.replace_others(run.owned, *by_kind.values())
 
 
-def _as_trained(own: BlockScene, options: SceneOptions) -> Scene:
-    return own.scene.reduced(options.downscale, options.max_resolution).normalised()
-
-
-def _beyond(none: Arrays, block: BlockFolder, own: BlockScene, others: Sequence[BlockFolder],
-            options: SceneOptions, number: int) -> Arrays:
-    """What a block holds and does not own, by name as in a checkpoint, `none` of which are no rows;
-    other arguments as for `exchange`."""
-    record, scene = block.read(), _as_trained(own, options)
+def _beyond(device: Device, run: BlockRun, others: Sequence[BlockFolder], options: SceneOptions
+            ) -> Arrays:
+    """What a block holds and does not own, by name as in a checkpoint; arguments as for `exchange`.
+    """
+    own, record = run.own, run.block.read()
+    scene = own.scene.reduced(options.downscale, options.max_resolution).normalised()
     if others:
-        return _of_others(none, others, number, record, scene, own.region)
-    start = read_ply(block.initial, scene.offset).scaled(1 / scene.unit).with_sh_degree(
+        return _of_others(device, run.none, others, run.number, record, scene, own.region)
+    start = read_ply(run.block.initial, scene.offset).scaled(1 / scene.unit).with_sh_degree(
         record["options"]["sh_degree"])
     beyond = ~own.region.owns(world_of(scene, start.positions))
-    rows = _zeros(none, int(beyond.sum()))
+    rows = _zeros(run.none, int(beyond.sum()))
     for name, values in start.rows.items():
         rows[f"row.{name}"][:] = values[beyond]
     return rows
 
 
-def _of_others(none: Arrays, others: Sequence[BlockFolder], number: int, record: dict[str, Any],
-               scene: Scene, region: Region) -> Arrays:
-    """What a block holds of others, in the frame of its scene."""
+def _of_others(device: Device, none: Arrays, others: Sequence[BlockFolder], number: int,
+               record: dict[str, Any], scene: Scene, region: Region) -> Arrays:
+    """What a block holds of others, in the frame of its scene; `none` : no rows of each kind."""
     def places(other: BlockFolder) -> Arrays:
         return _in_frame_of(scene, *_owned(other, number, record, (POSITIONS, SCALES)))
 
@@ -241,7 +236,7 @@ def _of_others(none: Arrays, others: Sequence[BlockFolder], number: int, record:
         before = np.cumsum([0, *(len(each[SCALES]) for each in there)])
         positions, scales = (np.concatenate([each.pop(name) for each in there])
                              for name in (POSITIONS, SCALES))
-        chosen = choose_gaussians(positions, scales, scene, region, scene.views)
+        chosen = choose_gaussians(device, positions, scales, scene, region, scene.views)
         rows = _zeros(none, len(chosen.indices))
         ends = np.searchsorted(chosen.indices, before).tolist()
         jobs = [(other, kind, chosen.indices[begin:end] - skipped, begin)

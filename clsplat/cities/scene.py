@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.cities.choose import note_outside, trainable
 from clsplat.densify.grow import Growth
 from clsplat.gaussians import Gaussians
 from clsplat.io.runs.city import BlockFolder
 from clsplat.io.runs.run import read_exposures
 from clsplat.io.scenes.read import read_scene
-from clsplat.partition.blocks import seen_pixels, trainable
 from clsplat.partition.region import Region
+from clsplat.partition.windows import seen_pixels
+from clsplat.primitives.gather import gather
 from clsplat.response import Response
 from clsplat.scene import Scene, View
 from clsplat.schedule.plan import SceneFacts
@@ -87,21 +89,16 @@ class FrozenRows(Stage):
         self._scene = session.scene
 
     def rows_changed(self, model: Model, growth: Growth | None) -> None:
-        """Freeze rows that are new; without growth those that have left what the block trains, as
-        frozen ones have not moved."""
-        frozen, first = np.zeros(model.count, bool), 0
-        if model.frozen is not None:
-            before = model.frozen.download() > 0
-            if growth is None:
-                frozen = before
-            else:
-                first = growth.unchanged
-                frozen[:first] = before[growth.source[:first]]
-        moved = ~frozen[first:]
-        positions, log_scales = (model.rows[name].download(first)[moved]
-                                 for name in ("positions", "log_scales"))
-        frozen[first:][moved] = ~trainable(self._scene, self.region, positions, log_scales)
-        model.frozen = model.device.upload(frozen.astype(np.uint32))
+        """Freeze rows that the region does not reach; those that were frozen stay so, as they do
+        not move."""
+        before, device = model.frozen, model.device
+        frozen = device.zeros(model.count, np.uint32) if before is None or growth else before
+        if before is not None and growth:
+            source = device.upload(growth.source[:growth.unchanged])
+            gather(device, before, source, frozen)
+        note_outside(device, self._scene, self.region, model.rows["positions"],
+                     model.rows["log_scales"], frozen)
+        model.frozen = frozen
         self._model = model
 
     def state(self) -> State:

@@ -13,13 +13,11 @@ ROUNDING = 1e-6  # of the lengths compared: a cluster is never missed by it
 class Clusters:
     """Equal numbers of points that lie close together, with spheres around them.
 
-    `positions` : [N, 3]; those that are not finite are in no view; `reach` : [N], how far each of
-    the points extends; None: not at all; `order` : int[N], the points by their clusters."""
+    `positions` : [N, 3]; those that are not finite are in no view; `order` : int[N], the points by
+    their clusters."""
 
-    def __init__(self, positions: NDArray[np.floating],
-                 reach: NDArray[np.floating] | None = None) -> None:
+    def __init__(self, positions: NDArray[np.floating]) -> None:
         count = len(positions)
-        reach = np.zeros(count) if reach is None else reach
         finite = np.isfinite(positions).all(axis=1, keepdims=True)
         self.order = scipy.spatial.cKDTree(np.where(finite, positions, 0), CLUSTER,
                                            compact_nodes=False).indices
@@ -29,7 +27,6 @@ class Clusters:
                      for end in (np.fmin, np.fmax))
         self._centres = (low.astype(np.float64) + high) / 2
         self._radii = np.linalg.norm(high - low, axis=1) / 2
-        self._reaches = np.maximum.reduceat(reach[self.order], starts) if count else reach
 
     def near_view(self, camera: Camera, near: float, beside: float = 0.0) -> NDArray[np.integer]:
         """The places in `order` of points that a view may show; all others it certainly does not.
@@ -40,8 +37,7 @@ class Clusters:
         (fx, fy), (cx, cy) = camera.focal, camera.centre
         sides = np.array([(fx, 0, beside + cx), (-fx, 0, beside + camera.width - cx),
                           (0, fy, beside + cy), (0, -fy, beside + camera.height - cy)])
-        # a point at the pixel u = fx x / z + cx reaches the image if u > -max(fx, fy) reach / z
-        inside = np.einsum("ij,jn->in", sides, centres) + max(fx, fy) * self._reaches
+        inside = np.einsum("ij,jn->in", sides, centres)
         inside += np.linalg.norm(sides, axis=1)[:, None] * self._radii
         rounding = ROUNDING * np.einsum("ij,jn->in", abs(sides), abs(centres))
         shown = (inside > -rounding).all(axis=0)

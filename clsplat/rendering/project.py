@@ -130,10 +130,15 @@ def project_defines(sh_degree: int, antialiased: bool, orthographic: bool = Fals
 
 def pack_camera(device: Device, camera: Camera, near: float, low_pass: float = LOW_PASS) -> Array:
     """The camera on the device, as the kernels read it: real[27] (cl/include/camera.h)."""
-    return device.upload(np.concatenate([
+    return device.upload(camera_row(camera, near, low_pass))
+
+
+def camera_row(camera: Camera, near: float, low_pass: float = LOW_PASS) -> NDArray[np.float64]:
+    """float64[27]: the camera as the kernels read it."""
+    return np.concatenate([
         camera.rotation.reshape(-1), camera.translation, camera.focal, camera.centre,
         camera.position, [near, low_pass, camera.width, camera.height],
-        *clamped_ratios(camera)]))
+        *clamped_ratios(camera)])
 
 
 def clamped_ratios(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from clsplat.cities import block as training_block
 from clsplat.cities.block import decided_by, options_of_blocks
+from clsplat.cities.choose import trainable
 from clsplat.cities.scene import BlockScene
 from clsplat.cities.workers import Workers
 from clsplat.densify import round as growth
@@ -21,8 +22,8 @@ from clsplat.io.runs.city import EXCHANGES, OTHERS, BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder, read_exposures
 from clsplat.io.scenes.read import fingerprint
 from clsplat.options import resolve
-from clsplat.partition import blocks
 from clsplat.partition.region import Region, Space
+from clsplat.partition.windows import seen_pixels
 from clsplat.response import Response
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.registry import OURS
@@ -138,8 +139,8 @@ def test_the_schedule_is_asked_about_the_block_only(item_device, city, tmp_path,
     trained_block(tmp_path / "run", block, item_device, engine="device", **SHORT)
     first, pixels = asked[0][:2]
     begun = Gaussians.from_points(city.points, city.colours, 0)
-    assert first == blocks.trainable(city, block.region, begun.positions, begun.log_scales).sum()
-    assert pixels == blocks.seen_pixels(city.reduced(8), block.region, city.reduced(8).views)
+    assert first == trainable(city, block.region, begun.positions, begun.log_scales).sum()
+    assert pixels == seen_pixels(city.reduced(8), block.region, city.reduced(8).views)
     for (rows, _, prunes), (_, _, count, above) in zip(rounds, asked, strict=True):
         inside = reached_with_bodies(block, rows)
         assert count == (inside & ~prunes).sum() < (~prunes).sum() / 2

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from clsplat.cities import block as training_block
 from clsplat.cities import exchange
 from clsplat.cities.block import block_options, train_block
+from clsplat.cities.choose import Choice, block_start, choose_gaussians
 from clsplat.cities.scene import BlockScene
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -21,7 +22,6 @@ from clsplat.io.records import write_object
 from clsplat.io.runs.city import BLOCK, EXCHANGES, OTHERS, BlockFolder, CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
-from clsplat.partition.blocks import Choice, block_start, trainable
 from clsplat.partition.region import Partition, Region, Space, world_of
 from clsplat.training.checkpoint import Checkpoint
 from tests.data.tiny_training import CITY, model_digest
@@ -49,7 +49,8 @@ def stopped(tmp_path_factory, item_device):
     for number, region in enumerate((west, east)):
         part = replace(scene, views=tuple(scene.views[i] for i in views[number]),
                        observations=None).reduced(8.0, 10_000)
-        start = block_start(first, scene, region, part.views)
+        start = block_start(first, choose_gaussians(item_device, first.positions, first.log_scales,
+                                                    scene, region, part.views))
         city.write_block(number, scene, views[number], region, {}, start.gaussians, None, OPTIONS, {
             **city.identity(), OTHERS: [1 - number], EXCHANGES: [AT]})
     with pytest.MonkeyPatch.context() as patch:
@@ -65,9 +66,9 @@ def stopped(tmp_path_factory, item_device):
 def exchanged(block, own, others=None):
     """What a block owns at its exchange, and behind that what it holds of others; and the state."""
     others = exchange.other_blocks(block) if others is None else others
-    options = block_options(block)
-    arrays, state = exchange.owned_at(block, own, options, 1)
-    beyond = exchange._beyond(exchange._none_of(arrays), block, own, others, options, 1)
+    arrays, state = exchange.owned_at(block, 1)
+    beyond = exchange._beyond(training_block.choose_device(), exchange.BlockRun(
+        block, own, 1, (arrays, state)), others, block_options(block))
     return {**arrays, **{name: np.concatenate([arrays[name], rows])
                          for name, rows in beyond.items()}}, state
 
@@ -104,9 +105,7 @@ def test_a_block_goes_on_from_what_others_own(city):
     for name, power in (("m.positions", 1), ("v.positions", 2)):  # gradients by the same lengths
         assert np.allclose(after[name][count:] * (other.unit / scene.unit) ** power,
                            part[name][row], rtol=1e-4), name
-    trains = trainable(scene, own.region, after["row.positions"], after["row.log_scales"])
-    assert np.array_equal(after["frozen.rows"] == 0, trains[:count])
-    assert 0 < trains[count:].sum() < len(row) and (after["adam.last_step"] == AT).all()
+    assert not after["frozen.rows"].any() and (after["adam.last_step"] == AT).all()
 
 
 def save(run, arrays, state):
@@ -157,7 +156,7 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
                 if name in (*wanted, "statistics.seen_count")
                 or name.partition(".")[0] in wanted}, None
 
-    def choose(positions, log_scales, *_):
+    def choose(_, positions, log_scales, *__):
         assert np.array_equal(positions, np.concatenate([o["row.positions"] for o in others]))
         assert np.array_equal(log_scales, np.concatenate([o["row.log_scales"] for o in others]))
         return Choice(indices, scales, reached, reached)
@@ -165,7 +164,7 @@ def test_rows_of_several_blocks_are_held_in_their_order(monkeypatch):
     monkeypatch.setattr(exchange, "_owned", owned)
     monkeypatch.setattr(exchange, "_in_frame_of", lambda scene, arrays, frame: arrays)
     monkeypatch.setattr(exchange, "choose_gaussians", choose)
-    found = exchange._of_others(none, [0, 1, 2, 3], 1, {}, SimpleNamespace(views=()), None)
+    found = exchange._of_others(None, none, [0, 1, 2, 3], 1, {}, SimpleNamespace(views=()), None)
     assert set(found) == set(none)
     for name in none:
         taken = np.concatenate([other[name] for other in others])[indices]
@@ -215,7 +214,7 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
         raise SystemExit(9)
 
     # in the exchange, after it, and where the training ends that follows it
-    for owner, name in ((exchange, "trainable"), (training_block, "training_of"),
+    for owner, name in ((exchange, "choose_gaussians"), (training_block, "training_of"),
                         (Checkpoint, "check_model"), (RunFolder, "save_model")):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, dies)

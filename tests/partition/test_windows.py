@@ -1,5 +1,6 @@
 """Windows of few sizes hold what they held, and each block gets its share of what photos show."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.cities.cut import visits_of_blocks
 from clsplat.gaussians import Gaussians
-from clsplat.partition.blocks import of_few_sizes, owned_shares
+from clsplat.partition.windows import of_few_sizes, owned_shares, seen_pixels
 from clsplat.scene import View
+from tests.city.test_block import region_of
 
 AT = np.zeros(3)
 
@@ -82,3 +84,16 @@ def test_blocks_visit_views_by_their_shares_but_not_more_often_in_all_than_one_r
     assert np.allclose(fewer[0], [0.8, 0.6]) and np.allclose(fewer[1], 0.6 * visits[1])
     assert np.allclose(visits[0], [8 / 7, 6 / 7]) and np.allclose(visits[1], [2 / 3, 1 / 2])
     assert visits[2] == 0.01
+
+
+def test_shares_of_pixels_add_up(city):
+    """Cells that own all places, each once, are shown by all pixels."""
+    inner = region_of(city, 0.4)
+    outer = replace(inner, low=np.where(np.isfinite(inner.high), inner.high, -np.inf),
+                    high=np.full(3, np.inf))
+    whole = sum(view.camera.width * view.camera.height for view in city.views)
+    for scene in (city, replace(city, observations=None)):
+        parts = [seen_pixels(scene, region, scene.views) for region in (inner, outer)]
+        assert abs(sum(parts) - whole) <= 2 and min(parts) > 0.2 * whole
+    assert sum(seen_pixels(city, inner, (view,)) for view in city.views) == pytest.approx(
+        seen_pixels(city, inner, city.views), abs=len(city.views))

@@ -12,9 +12,9 @@ from clsplat.io.photos.resample import resample
 from clsplat.io.photos.views import read_photo
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
-from clsplat.partition import blocks
-from clsplat.partition.blocks import find_windows
+from clsplat.partition import windows as partition_windows
 from clsplat.partition.region import world_of
+from clsplat.partition.windows import find_windows
 from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View
 from tests import cases
@@ -92,7 +92,7 @@ def test_a_photo_is_read_in_part(tmp_path):
 @pytest.mark.parametrize("most, share", [(10**6, 0.98), (500, 0.95)])
 def test_windows_hold_what_the_region_reaches(scene, gaussians, monkeypatch, most, share):
     """Of many gaussians some are asked."""
-    monkeypatch.setattr(blocks, "MOST_BOUNDED", most)
+    monkeypatch.setattr(partition_windows, "MOST_BOUNDED", most)
     region = region_of(scene, 0.3, 0.1)
     windows = find_windows(gaussians, scene, region, scene.views)
     reached = region.reaches(world_of(scene, gaussians.positions))

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from clsplat.camera import Camera
+from clsplat.cities import choose as choosing
 from clsplat.constants import CATCH_UP_EVERY, DESCRIPTOR_SIZE, LAZY_TERMS, PAGE_ROWS, POSE_REALS
 from clsplat.device import Device
 from clsplat.gaussians import LEARNED
@@ -31,6 +32,7 @@ from clsplat.optimise.noise import add_noise
 from clsplat.optimise.page_store import PageStore
 from clsplat.optimise.pages import Pages
 from clsplat.optimise.pose import RATE, Poses
+from clsplat.partition.region import Region, Space
 from clsplat.primitives import compact as compacting
 from clsplat.primitives import gather as gathering
 from clsplat.primitives.compact import new_counts
@@ -44,6 +46,7 @@ from clsplat.rendering.contribution import contribution as contributions
 from clsplat.rendering.cull import cull as cull_rows
 from clsplat.rendering.project import pack_camera
 from clsplat.response import Lenses
+from clsplat.scene import Scene, View
 from clsplat.sfm import match as matching
 from clsplat.sfm import two_views
 from clsplat.sfm.reconstruct import SfmOptions
@@ -53,6 +56,7 @@ from clsplat.stereo import sweep as sweeping
 from clsplat.training.frequency import scene_frequency
 from tools.bench.timing import in_turn, spread
 from tools.bench.workloads import DEFINES, CityFrame, ring_camera
+from tools.bench.workloads import city as made_city
 
 DEGREE = 3
 FEATURES = SfmOptions.max_features
@@ -197,6 +201,20 @@ def frequency(city: CityFrame) -> Cases:
     """The nine scene frequencies of the city, including their download."""
     return {"nine values": partial(scene_frequency, city.device, {
         name: city.rows[name] for name in ("log_scales", "opacity_logits")})}
+
+
+def choose(city: CityFrame) -> Cases:
+    """Which gaussians a region in the middle does not reach, and their sizes in 24 views."""
+    gaussians, cameras = made_city(city.count)
+    views = tuple(View(str(number), camera, b"") for number, camera in enumerate(cameras[:24]))
+    scene = Scene("city", views, np.zeros((1, 3)), np.zeros((1, 3), np.uint8), np.zeros(3))
+    middle, half = gaussians.positions.mean(axis=0), np.ptp(gaussians.positions, axis=0) / 8
+    region = Region(Space(np.eye(3), middle, half), np.full(3, -1.0), np.ones(3), 0.1)
+    outside = city.device.zeros(city.count, np.uint32)
+    return {"outside": partial(choosing.note_outside, city.device, scene, region,
+                               city.rows["positions"], city.rows["log_scales"], outside),
+            "sizes, from the host": partial(choosing.find_sizes, city.device, gaussians.positions,
+                                            gaussians.log_scales, scene, region, views)}
 
 
 def gather(city: CityFrame) -> Cases:
@@ -359,6 +377,6 @@ def match(city: CityFrame) -> Cases:
 
 FAMILIES: dict[str, Callable[[CityFrame], Cases]] = {
     function.__name__: function for function in (
-        adam, batch, bin, blend, compact, contribution, cull, depth_map, exposure, frequency,
-        gather, image_loss, match, noise, pages, pose, project, ray_depth, reduce, regularise,
-        reproject, sift, signed_distance, sort, sweep)}
+        adam, batch, bin, blend, choose, compact, contribution, cull, depth_map, exposure,
+        frequency, gather, image_loss, match, noise, pages, pose, project, ray_depth, reduce,
+        regularise, reproject, sift, signed_distance, sort, sweep)}

@@ -11,7 +11,7 @@ there are not trained again. The machine should do nothing else, as their time c
     dense             filled: blocks begin without dense points in gaps of the coarse model; the
                       joint training keeps its own
     visits            visits_of_blocks: a block visits its views alike, with as many steps in all
-    thinning          largest_sizes: surroundings smaller than a pixel are all kept; --workers 1,
+    thinning          find_sizes: surroundings smaller than a pixel are all kept; --workers 1,
                       as blocks in other processes would thin at exchanges: its time compares with
                       that of sharing
     exchanges         --exchanges 0 without the joint training; exchanges-on: 3 with it
@@ -51,16 +51,20 @@ def equal_visits(visits_of_blocks: Any) -> Callable[..., Any]:
                                for visits in visits_of_blocks(*arguments)]
 
 
-def unthinned(largest_sizes: Any) -> Callable[..., Any]:
-    """In place of `largest_sizes`: a pixel or more, or 0 where no view shows a gaussian."""
-    return lambda *arguments, **named: (largest_sizes(*arguments, **named) > 0).astype(float)
+def unthinned(find_sizes: Any) -> Callable[..., Any]:
+    """In place of `find_sizes`: a pixel or more, or 0 where no view shows a gaussian."""
+    def found(*arguments: Any) -> Any:
+        reached, sizes = find_sizes(*arguments)
+        return reached, (sizes > 0).astype(float)
+
+    return found
 
 
 # mechanism -> (module, name, what makes the substitute of the function there)
 PATCHES: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
     "dense": ("clsplat.cities.cut", "filled", without_dense),
     "visits": ("clsplat.cities.cut", "visits_of_blocks", equal_visits),
-    "thinning": ("clsplat.partition.blocks", "largest_sizes", unthinned),
+    "thinning": ("clsplat.cities.choose", "find_sizes", unthinned),
 }
 # mechanism -> flags; those that are of use with a joint training alone, or without one alone
 FLAGS = {"none": (), "sharing": ("--workers", "1"),

@@ -6,25 +6,10 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
+from clsplat.cities.choose import block_start, choose_gaussians, filled, find_sizes
 from clsplat.gaussians import Gaussians
-from clsplat.partition.blocks import block_start, filled, largest_sizes, seen_pixels
 from clsplat.partition.region import Region, Space
 from clsplat.scene import Scene, View
-from tests.city.test_block import region_of
-
-
-def test_shares_of_pixels_add_up(city):
-    """Cells that own all places, each once, are shown by all pixels."""
-    inner = region_of(city, 0.4)
-    outer = replace(inner, low=np.where(np.isfinite(inner.high), inner.high, -np.inf),
-                    high=np.full(3, np.inf))
-    whole = sum(view.camera.width * view.camera.height for view in city.views)
-    for scene in (city, replace(city, observations=None)):
-        parts = [seen_pixels(scene, region, scene.views) for region in (inner, outer)]
-        assert abs(sum(parts) - whole) <= 2 and min(parts) > 0.2 * whole
-    assert sum(seen_pixels(city, inner, (view,)) for view in city.views) == pytest.approx(
-        seen_pixels(city, inner, city.views), abs=len(city.views))
-
 
 SIZE, FOCAL = (64, 48), 50.0
 # along the axis of `looking`: the gaussians, where they are, and how large they are
@@ -51,12 +36,17 @@ def gaussians_at(positions, deviations):
     return Gaussians({**made.rows, "log_scales": scales}, 0)
 
 
+def started(device, given, scene, region):
+    return block_start(given, choose_gaussians(device, given.positions, given.log_scales, scene,
+                                               region, scene.views))
+
+
 @pytest.mark.parametrize("offset", [0.0, 3e6])
-def test_cut(offset):
+def test_cut(device, offset):
     """Small ones stay where the region reaches them; behind it, those that the view shows."""
     scene, region = looking(offset)
     given = gaussians_at(PLACES, DEVIATIONS)
-    result = block_start(given, scene, region, scene.views)
+    result = started(device, given, scene, region)
     kept = [OWN, EDGE, NEAR, REACHING, OTHER_SIDE]
     for name, values in result.gaussians.rows.items():
         assert np.array_equal(values, given.rows[name][kept]), name
@@ -67,9 +57,9 @@ def test_cut(offset):
 
 
 @pytest.mark.parametrize("offset", [0.0, 3e6])
-def test_dense_gaussians_fill_the_gaps_of_what_a_block_reaches(offset):
+def test_dense_gaussians_fill_the_gaps_of_what_a_block_reaches(item_device, offset):
     scene, region = looking(offset)
-    start = block_start(gaussians_at(PLACES, DEVIATIONS), scene, region, scene.views)
+    start = started(item_device, gaussians_at(PLACES, DEVIATIONS), scene, region)
     # beside OWN, within the reach, at its end, beyond it
     places = [(0, 0.4, 5), (0, 0.6, 5), (3, 0, 9), (1, 0, 14.9), (1, 0, 15.1)]
     dense = gaussians_at(places, np.full(5, 0.5 * np.exp(3)))  # thinner along x: 0.5
@@ -87,33 +77,34 @@ def test_dense_gaussians_fill_the_gaps_of_what_a_block_reaches(offset):
     assert filled(nothing, dense, scene, region).dense == 4
 
 
-def test_sizes_in_the_view_that_shows_them_largest():
-    scene, _ = looking(0.0)
+def test_sizes_in_the_view_that_shows_them_largest(device):
+    scene, region = looking(0.0)
     view = scene.views[0]
     twice = replace(view, camera=view.camera.resized(128, 96))
-    positions, deviations = np.array(PLACES, float), np.array(DEVIATIONS)
-    once = largest_sizes(positions, deviations, [view], near=0.01)
-    assert once[NEAR] == pytest.approx(2 * FOCAL * 1.0 / 30) and once[REACHING] == 22.0
-    assert once[BEHIND] == once[ASIDE] == 0
-    assert once[OTHER_SIDE] == 26.0
+    given = gaussians_at(PLACES, np.array(DEVIATIONS) / 50)
+
+    def sizes(*views):
+        return find_sizes(device, given.positions, given.log_scales, scene, region, views)[1]
+
+    once = sizes(view)
+    assert once[OWN] == once[EDGE] == 1 and once[BEHIND] == once[ASIDE] == 0
+    assert once[NEAR] == pytest.approx(2 * FOCAL * (1.0 / 50) / 30, rel=1e-5)
     for views in ([view, twice], [twice, view]):
-        assert np.array_equal(largest_sizes(positions, deviations, views, 0.01), 2 * once)
-    assert largest_sizes(positions, deviations, [view], near=31.0)[NEAR] == 0
-    enough = largest_sizes(positions, deviations, [view, twice], 0.01, enough=21.0)
-    assert np.array_equal(enough, np.where(once < 21, 2 * once, once)) and (once >= 21).any()
+        assert sizes(*views)[NEAR] == 2 * once[NEAR] and sizes(*views)[EDGE] == 1
+    assert not sizes()[[NEAR, REACHING]].any() and sizes()[OWN] == 1
 
 
-def test_far_gaussians_are_thinned_to_the_same_area():
+def test_far_gaussians_are_thinned_to_the_same_area(device):
     """Of many that a view shows as half a pixel, a quarter stays, twice as large."""
     scene, region = looking(0.0)
     count, distance = 4000, 1000.0
     rng = np.random.default_rng(0)
     places = np.column_stack([rng.uniform(-300, 300, (count, 2)), np.full(count, distance)])
     given = gaussians_at(places, np.full(count, 0.25 * distance / FOCAL))
-    result = block_start(given, scene, region, scene.views)
+    result = started(device, given, scene, region)
     assert result.surroundings == result.gaussians.count and result.own == result.margin == 0
     assert abs(result.surroundings - count / 4) < 4 * np.sqrt(count * 3 / 16)
     larger = result.gaussians.log_scales - given.log_scales[:result.gaussians.count]
     assert np.allclose(larger, np.log(2), atol=1e-4)
     assert np.array_equal(result.gaussians.positions,
-                          block_start(given, scene, region, scene.views).gaussians.positions)
+                          started(device, given, scene, region).gaussians.positions)
