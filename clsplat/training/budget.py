@@ -12,13 +12,16 @@ only if the time left allows the model to recover: measured on boruszyn (400 and
 """
 
 import math
+import os
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from clsplat.config.option import is_auto
 from clsplat.errors import InputError
-from clsplat.evaluation.views import evaluate_views
+from clsplat.evaluation.views import evaluate_views, scored_at_once
+from clsplat.io.atomic import replacing
 from clsplat.options import seconds_of
 from clsplat.schedule.plan import Plan
 from clsplat.training.model import CurrentRenderer, checkpoint_bytes
@@ -29,7 +32,8 @@ ESTIMATE_SHARE = 0.005  # of the budget between two estimates
 NEWEST_WEIGHT = 0.5  # of the newest measurement in a level's step time
 FIRST_STEP_SECONDS = 0.05  # assumed before the first measurement
 REPORT_SECONDS = 1.0  # to draw the run's page
-BYTES_PER_SECOND = 100e6  # assumed for checkpoint and model before the first is written
+TRIAL_BYTES = 1 << 25  # that are written to see how fast the disk is
+SAVED_A_SECOND = 1e9  # bytes of a checkpoint, where the disk takes no time
 RESERVE_SHARE = 0.005  # of the budget, for the unforeseen
 RESET_RECOVERY = 150  # steps that must be left after an opacity reset
 GROWTH_RECOVERY = 50  # steps that must be left after growth or a new level
@@ -37,26 +41,39 @@ MOST_OVERHEAD = 0.5  # share of the budget that all but training may take
 
 
 def evaluation_seconds(session: Session) -> float:
-    """Seconds of an evaluation, measured on one view."""
-    seconds, view = 0.0, session.test_views[:1]
-    for _ in range(2 if view else 0):  # the first compiles
+    """Seconds of an evaluation, measured on as many views as are scored at the same time."""
+    seconds, views = 0.0, session.test_views
+    some = views[:scored_at_once(views)]
+    for measured in (some[:1], some) if some else ():  # the first compiles
         begin = time.perf_counter()
         evaluate_views(CurrentRenderer(session.renderer), session.model,
-                       session.options.sh_degree, view)
+                       session.options.sh_degree, measured)
         seconds = time.perf_counter() - begin
-    return seconds * len(session.test_views)
+    return seconds * len(views) / max(1, len(some))
+
+
+def saved_a_second(folder: Path) -> float:
+    """Bytes of a checkpoint that are written into a folder in a second, measured on its disk."""
+    content = os.urandom(TRIAL_BYTES)
+    begin = time.perf_counter()
+    with replacing(folder / "trial") as file:
+        file.write(content)
+    seconds = time.perf_counter() - begin
+    (folder / "trial").unlink()
+    return 1 / (seconds / TRIAL_BYTES + 1 / SAVED_A_SECOND)
 
 
 class Deadline:
     """Adapts the number of steps of a session to the time that its steps take.
 
-    An evaluation takes at most `evaluation` seconds, unless one turns out to take more.
+    An evaluation takes at most `evaluation` seconds, unless one turns out to take more. `rate` :
+    bytes of a checkpoint that are written in a second, until one was.
     """
 
-    def __init__(self, session: Session, clock: Clock, evaluation: float) -> None:
+    def __init__(self, session: Session, clock: Clock, evaluation: float, rate: float) -> None:
         self.session, self.clock, self._evaluation = session, clock, evaluation
         self._seconds = seconds = seconds_of(session.options.time_budget)
-        self._rate = BYTES_PER_SECOND
+        self._rate = rate
         self._pending = 0  # evaluations to come before the last one
         self._step_seconds: dict[float, float] = {}  # level -> seconds
         self._change_seconds = 0.0  # to change the level, which reads photos

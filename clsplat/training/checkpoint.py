@@ -14,7 +14,7 @@ from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
 from clsplat.options import TrainOptions
 from clsplat.primitives.gather import download_rows
-from clsplat.training.budget import Deadline
+from clsplat.training.budget import SAVED_A_SECOND, Deadline
 from clsplat.training.model import checkpoint_bytes
 from clsplat.training.recorder import Clock, broken
 from clsplat.training.session import Session
@@ -26,7 +26,6 @@ BY_GAUSSIAN = "row", "m", "v"  # kinds of the arrays with a row a gaussian, besi
 KINDS = *BY_GAUSSIAN, "adam", "statistics"  # of the arrays that no part has
 STATISTICS = "grad_norm_sum", "seen_count"
 REALS = (np.float32, np.float64)  # precisions of devices
-SAVED_A_SECOND = 1e9  # bytes
 
 
 class Checkpoint:

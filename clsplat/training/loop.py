@@ -32,7 +32,7 @@ from clsplat.io.scenes.read import fingerprint
 from clsplat.options import TrainOptions
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
-from clsplat.training.budget import Deadline, evaluation_seconds
+from clsplat.training.budget import Deadline, evaluation_seconds, saved_a_second
 from clsplat.training.checkpoint import Checkpoint, damaged, saved_gaussians
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
@@ -136,8 +136,8 @@ class Training:
                                                   level)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
-        self.deadline = Deadline(self.session, self.clock, evaluation_seconds(self.session)
-                                 ) if options.time_budget else None
+        self.deadline = Deadline(self.session, self.clock, evaluation_seconds(self.session),
+                                 saved_a_second(run.path)) if options.time_budget else None
         self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline,
                                      fingerprint(scene))
         self._measured: list[Measured] = []  # by the latest step

@@ -17,6 +17,7 @@ from clsplat.training.model import checkpoint_bytes
 from clsplat.training.session import Session
 
 COUNT = 100_000  # gaussians at the start
+RATE = 100e6  # bytes of a checkpoint a second, as measured before the first
 FREQUENCIES = {f"{variant}_mean": 30.0 for variant in ("paper", "release", "robust")}
 
 
@@ -45,7 +46,8 @@ class Simulated(budget.Deadline):
         self.made, self.apart = clock, 0.0  # seconds so far that are not of training
         self.steps_at, self.upheavals = {}, {"lowered": 0, "level": 0, "grown": 0}  # the last steps
         super().__init__(Unbuilt(options, schedule), SimpleNamespace(
-            elapsed=lambda: clock.now, trained=lambda: clock.now - self.apart), clock.evaluation)
+            elapsed=lambda: clock.now, trained=lambda: clock.now - self.apart), clock.evaluation,
+            RATE)
 
     def take_step(self):
         session, clock = self.session, self.made
@@ -233,7 +235,7 @@ def test_evaluations_are_evenly_spaced_and_take_an_eighth_of_the_time():
 def test_too_little_is_refused_and_the_cure_is_one(evaluation):
     clock = Clock(by_level, evaluation=evaluation)
     needed = clock.now + evaluation + budget.REPORT_SECONDS + budget.RESERVE_SHARE + (
-        checkpoint_bytes(COUNT, 3) / budget.BYTES_PER_SECOND)
+        checkpoint_bytes(COUNT, 3) / RATE)
     with pytest.raises(InputError, match=rf"^--time-budget 1s: .*saving once take {needed:.1f} s"
                        ) as caught:
         Simulated(1, clock)
@@ -254,7 +256,38 @@ def test_files_of_gaussians_that_will_enter_have_their_time():
     training = Simulated(240, Clock(by_level))
     whole, training.session.step.count = training._reserve(), COUNT // 64
     assert training._reserve() == whole
-    training.note_saved(checkpoint_bytes(COUNT // 64, 3) / budget.BYTES_PER_SECOND)
+    training.note_saved(checkpoint_bytes(COUNT // 64, 3) / RATE)
     assert training._reserve() == pytest.approx(whole)
     training.session.step.count = 2 * COUNT
     assert training._reserve() > whole
+
+
+@pytest.mark.parametrize("seconds, rate", [(0.0, 1e9), (1.0, 3.25e7)])
+def test_how_fast_the_disk_of_a_run_is(tmp_path, monkeypatch, seconds, rate):
+    """On an H200 77 of 140 s were kept for files that took 12: 100 MB/s had been assumed."""
+    now = [0.0]
+    monkeypatch.setattr(budget.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr("os.fsync", lambda _: now.__setitem__(0, seconds))
+    assert budget.saved_a_second(tmp_path) == pytest.approx(rate, rel=0.01)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("views, together, expected", [
+    (0, 4, 0), (3, 4, 2), (40, 4, 20), (40, 1, 80)])
+def test_evaluations_take_as_long_as_views_that_are_scored_together(monkeypatch, views, together,
+                                                                   expected):
+    """Each call takes two seconds."""
+    now, calls = [0.0], []
+    monkeypatch.setattr(budget.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(budget, "scored_at_once", lambda _: together)
+    monkeypatch.setattr(budget, "CurrentRenderer", lambda _: None)
+
+    def evaluated(*arguments):
+        calls.append(len(arguments[3]))
+        now[0] += 2
+
+    monkeypatch.setattr(budget, "evaluate_views", evaluated)
+    session = SimpleNamespace(test_views=views * [None], renderer=None, model=None,
+                              options=SimpleNamespace(sh_degree=3))
+    assert budget.evaluation_seconds(session) == expected
+    assert calls == ([1, min(views, together)] if views else [])
