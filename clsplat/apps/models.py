@@ -73,9 +73,10 @@ def turned_up(gaussians: Gaussians, up: NDArray[np.float64], to: NDArray[np.floa
     return transformed(gaussians, rotation=turn.as_matrix())
 
 
-def write_run_model(path: Path, run: Run, gaussians: Gaussians, upright: bool = False) -> None:
+def write_run_model(path: Path, run: Run, gaussians: Gaussians, upright: bool = False,
+                    spz_version: int = 0) -> None:
     """Write gaussians of a run, in original coordinates, in the format of a suffix, with what is
-    known about them; `upright` turns them so that up is -y.
+    known about them; `upright` turns them so that up is -y; `spz_version` as for `write_model`.
 
     Raises
     ------
@@ -83,6 +84,7 @@ def write_run_model(path: Path, run: Run, gaussians: Gaussians, upright: bool = 
     """
     comments = (mode_comment(run.options.antialiased),)
     if upright:
-        write_model(path, turned_up(gaussians, run.up, VIEWERS_UP), comments, VIEWERS_UP)
+        write_model(path, turned_up(gaussians, run.up, VIEWERS_UP), comments, VIEWERS_UP,
+                    spz_version=spz_version)
     else:
-        write_model(path, gaussians, comments, run.up, run.georeference)
+        write_model(path, gaussians, comments, run.up, run.georeference, spz_version)

@@ -20,6 +20,8 @@ from clsplat.errors import DeviceError, InputError
               "expect. It then no longer fits the scene's cameras.")
 @click.option("--sh-degree", type=click.IntRange(0, 3), default=3, show_default=True,
               help="Highest degree of the spherical harmonics to write.")
+@click.option("--spz-version", type=click.Choice(["3", "4"]), help="For .spz: the version of the "
+              "format; 4 needs the extra spz, and fewer programs read it. Default: 3.")
 @everything_flag
 @click.option("--scene", type=PATH, help="For a page: where the scene is now, if it was moved.")
 @click.option("--title", default="", help="For a page: its title; default: the name of the run.")
@@ -27,7 +29,8 @@ from clsplat.errors import DeviceError, InputError
               "photos, which take up to 11 MiB of it.")
 @device_flag
 def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: int,
-           everything: bool, scene: Path | None, title: str, no_photos: bool, device: str) -> None:
+           spz_version: str | None, everything: bool, scene: Path | None, title: str,
+           no_photos: bool, device: str) -> None:
     """Write the gaussians of RUN to a file for other programs.
 
     They are in the world coordinates of the scene; in .las and .laz, in map coordinates if it is
@@ -54,9 +57,11 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
     is_points = not (is_page or is_folder or is_streamed) and format_of(output).is_points
     if everything and not is_page:
         raise InputError("--everything: is for pages, other formats have all; leave it out")
-    for flag, given in (("--title", title), ("--no-photos", no_photos)):
-        if given and not is_page:
-            raise InputError(f"{flag}: is for pages; leave it out")
+    for flag, given, fits, what in (
+            ("--title", title, is_page, "pages"), ("--no-photos", no_photos, is_page, "pages"),
+            ("--spz-version", spz_version, output.suffix.lower() == ".spz", ".spz")):
+        if given and not fits:
+            raise InputError(f"{flag}: is for {what}; leave it out")
     opened = Run.open(run)
     source = opened.folder.model_path
     if output.exists() and output.samefile(source):
@@ -96,7 +101,7 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, sh_degree: i
             write_run_page(output, opened, part, photos, title=title, poster=poster,
                            progress=progress.count)
         else:
-            write_run_model(output, opened, part, upright)
+            write_run_model(output, opened, part, upright, int(spz_version or 0))
     if is_folder:
         click.echo(f"{output}/tileset.json: {tiles:,} {'tile' if tiles == 1 else 'tiles'}")
     left_out = "".join(f"; left out as {what}: {count:,}" for what, count in (

@@ -116,6 +116,17 @@ def test_every_format(run, tmp_path, suffix):
         np.delete(whole.positions, [3, 5], axis=0), axis=0)).max() < 0.1
 
 
+def test_versions_of_spz(run, tmp_path):
+    pytest.importorskip("zstandard", reason="an extra: pip install '.[spz]'")
+    export = partial(clsplat_, "export", run.path, "--overwrite", "-o")
+    for given, magic in (((), b"\x1f\x8b"), ((4,), b"NGSP\4\0\0\0"), ((3,), b"\x1f\x8b")):
+        assert export(tmp_path / "a.spz", *["--spz-version"] * len(given), *given).exit_code == 0
+        assert (tmp_path / "a.spz").read_bytes().startswith(magic)
+        assert read_model(tmp_path / "a.spz").count == 58
+    result = export(tmp_path / "a.sog", "--spz-version", 4)
+    assert result.exit_code == 2 and "--spz-version: is for .spz; leave it out" in result.stderr
+
+
 def test_upright(run, tmp_path):
     result = clsplat_("export", run.path, "-o", tmp_path / "a.ply", "--upright")
     assert result.exit_code == 0, result.output

@@ -34,7 +34,8 @@ class Format(NamedTuple):
     what: str
     # called with a path, an offset, and for points with the CRS of the scene
     read: Callable[..., tuple[Gaussians, Notes]] | None
-    write: Callable[[Path, Gaussians, Notes], None]
+    # called with a path, gaussians and notes, and for SPZ with a version
+    write: Callable[..., None]
     is_points: bool = False
 
 
@@ -109,7 +110,8 @@ def _readable(path: Path) -> tuple[Format, Callable[..., tuple[Gaussians, Notes]
 
 
 def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] = (),
-                up: ArrayLike | None = None, georeference: Georeference | None = None) -> None:
+                up: ArrayLike | None = None, georeference: Georeference | None = None,
+                spz_version: int = 0) -> None:
     """Write gaussians in original coordinates; the file is replaced as a whole.
 
     Formats in single precision hold coordinates relative to the offset if original ones would lose
@@ -119,6 +121,7 @@ def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] 
     ----------
     path : a file with one of SUFFIXES.
     comments, up, georeference : see `Notes`; for the formats that have a place for them.
+    spz_version : one of `spz.VERSIONS`, for SPZ alone; 0: the first of them.
 
     Raises
     ------
@@ -127,7 +130,7 @@ def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] 
     """
     path = Path(path)
     notes = Notes(tuple(comments), None if up is None else np.asarray(up, np.float64), georeference)
-    format_of(path).write(path, gaussians, notes)
+    format_of(path).write(path, gaussians, notes, *[spz_version] * bool(spz_version))
 
 
 def format_of(path: str | Path) -> Format:

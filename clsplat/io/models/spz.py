@@ -1,10 +1,10 @@
-"""Gaussians as SPZ, the compressed format of Niantic: version 3 is written, 2 to 4 are read.
+"""Gaussians as SPZ, the compressed format of Niantic: versions 3 and 4 are written, 2 to 4 read.
 
 A gzip stream of a header and then, one after the other for all gaussians: positions of 24 bits,
 opacities, colours, scales, rotations, and harmonics of 8 bits. Version 4 has a header of 32 bytes,
 a table of the packed and unpacked size of each part, and the parts as streams of Zstandard without
-gaps (README.md of nianticlabs/spz). The axes are right, up, backward: those of a PLY, which are
-right, down, forward, after half a turn about x.
+gaps (README.md of nianticlabs/spz); readers skip what stands before the table. The axes are right,
+up, backward: those of a PLY, which are right, down, forward, after half a turn about x.
 """
 
 import io
@@ -14,6 +14,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -31,10 +32,12 @@ HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, SH degree, fractio
 HEADER_4 = struct.Struct("<16sI12x")  # of version 4: HEADER, where the table begins
 ENTRY = struct.Struct("<QQ")  # the sizes of a stream
 MAGIC, VERSION, WITH_STREAMS = b"NGSP", 3, 4
+VERSIONS = (VERSION, WITH_STREAMS)  # that are written, first the one that most programs read
 ANTIALIASED, EXTENDED = 1, 2  # flags
 # with the flags, and without the time, so that equal models give equal bytes
 GZIP_HEADER = b"\x1f\x8b\x08%c\0\0\0\0\2\xff"
 LEVEL = 6  # of deflate: 9 makes files 1 to 3 % smaller in eight times the time
+ZSTD_LEVEL = 12  # that of the reference implementation
 COMMENT = 16  # the flag of a comment, which ends with a zero byte; other readers skip it
 ORIGIN = re.compile(rb"origin_of_positions (\S+) (\S+) (\S+)")
 ROTATION_BYTES = {2: 3, 3: 4, 4: 4}  # by the version
@@ -60,19 +63,27 @@ class _Header(NamedTuple):
     streams: int
 
 
-def write_spz(path: Path, gaussians: Gaussians, notes: values.Notes) -> None:
-    """Write gaussians as SPZ; see `models.write_model`.
+def write_spz(path: Path, gaussians: Gaussians, notes: values.Notes, version: int = VERSION
+              ) -> None:
+    """Write gaussians as SPZ of one of VERSIONS; see `models.write_model`.
 
     They are sorted along a curve in space. Harmonics whose bytes would all be zero are left out.
     Of the comments, only whether the model is antialiased has a place.
     """
-    content, _ = packed_spz(path, gaussians, notes)
+    try:
+        content, _ = packed_spz(path, gaussians, notes, version)
+    except ImportError as error:
+        raise InputError(f"{path}: {error}") from None
     with replacing(path) as file:
         file.write(content)
 
 
-def packed_spz(path: Path, gaussians: Gaussians, notes: values.Notes) -> tuple[bytes, int]:
-    """The content of a SPZ file, and the degree of its harmonics; `path` is for messages."""
+def packed_spz(path: Path, gaussians: Gaussians, notes: values.Notes, version: int = VERSION
+               ) -> tuple[bytes, int]:
+    """The content of a SPZ file, and the degree of its harmonics; `path` is for messages.
+
+    ImportError without zstandard, which version 4 needs.
+    """
     rows, origin = values.stored_rows(gaussians, along_curve=True)
     rows = values.half_turn(rows, axis=0)
     bits = _fractional_bits(path, rows["positions"], gaussians.log_scales)
@@ -84,20 +95,30 @@ def packed_spz(path: Path, gaussians: Gaussians, notes: values.Notes) -> tuple[b
     while degree and not (sh[:, degree**2 - 1:] != HARMONICS.zero).any():
         degree -= 1
         sh = sh[:, :(degree + 1) ** 2 - 1]
-    parts = (fixed.view(np.uint8).reshape(-1, 4)[:, :3],
-             values.OPACITY_STEPS.bytes(scipy.special.expit(rows["opacity_logits"])),
-             COLOURS.bytes(rows["sh_constant"]),
-             LOG_SCALES.bytes(rows["log_scales"]), _packed_rotations(rows["quaternions"]), sh)
-    content = HEADER.pack(MAGIC, VERSION, gaussians.count, degree, bits,
-                          ANTIALIASED * notes.antialiased, 0)
-    content += b"".join(part.tobytes() for part in parts)
-    head = GZIP_HEADER % 0
+    parts = [part.tobytes() for part in (
+        fixed.view(np.uint8).reshape(-1, 4)[:, :3],
+        values.OPACITY_STEPS.bytes(scipy.special.expit(rows["opacity_logits"])),
+        COLOURS.bytes(rows["sh_constant"]),
+        LOG_SCALES.bytes(rows["log_scales"]), _packed_rotations(rows["quaternions"]), sh)]
+    comment = b""
     if origin.any():
-        place = " ".join(repr(float(value)) for value in origin)
-        head = GZIP_HEADER % COMMENT + f"origin_of_positions {place}\0".encode()
+        comment = f"origin_of_positions {' '.join(map(repr, origin.tolist()))}\0".encode()
+    fields = MAGIC, version, gaussians.count, degree, bits, ANTIALIASED * notes.antialiased
+    if version == WITH_STREAMS:
+        return _in_streams(fields, comment, list(filter(None, parts))), degree
+    content = HEADER.pack(*fields, 0) + b"".join(parts)
+    head = GZIP_HEADER % (COMMENT * bool(comment)) + comment
     packer = zlib.compressobj(LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS, 9)
     end = struct.pack("<II", zlib.crc32(content), len(content) & 0xFFFFFFFF)
     return head + packer.compress(content) + packer.flush() + end, degree
+
+
+def _in_streams(fields: tuple[bytes | int, ...], comment: bytes, parts: Sequence[bytes]) -> bytes:
+    """A file of version 4, of the fields of its header but the number of its parts."""
+    packed = [_zstandard().ZstdCompressor(ZSTD_LEVEL).compress(part) for part in parts]
+    return b"".join((
+        HEADER_4.pack(HEADER.pack(*fields, len(parts)), HEADER_4.size + len(comment)), comment,
+        *(ENTRY.pack(len(small), len(part)) for small, part in zip(packed, parts)), *packed))
 
 
 def read_spz(path: Path, offset: NDArray[np.float64] | None = None
@@ -167,10 +188,7 @@ def _stream(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
 
 def _streams(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
     """The parts of a file of version 4, of which empty ones are left out."""
-    try:
-        import zstandard
-    except ImportError:
-        raise ImportError("SPZ of version 4 needs zstandard; `pip install zstandard`") from None
+    zstandard = _zstandard()
     _, table = HEADER_4.unpack_from(data)
     at = table + header.streams * ENTRY.size
     if header.streams != sum(map(bool, sizes)):
@@ -186,6 +204,15 @@ def _streams(data: bytes, header: _Header, sizes: Sequence[int]) -> list[bytes]:
             raise ValueError("it holds more or less than its header claims")
         at += packed
     return parts
+
+
+def _zstandard() -> ModuleType:
+    """The library of an extra; ImportError that names it."""
+    try:
+        import zstandard
+    except ImportError:
+        raise ImportError("SPZ of version 4 needs zstandard; `pip install zstandard`") from None
+    return zstandard
 
 
 def _fractional_bits(path: Path, positions: NDArray[np.float64], log_scales: NDArray[np.float32]
@@ -227,8 +254,9 @@ def _rotations(data: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def _origin(data: bytes) -> NDArray[np.float64]:
-    """What the comment of the gzip header records, or zero."""
-    begin = len(GZIP_HEADER % 0)
-    has_comment = not data.startswith(MAGIC) and data[3] & COMMENT
+    """What the comment of the gzip header records, or that before the table of version 4, or
+    zero."""
+    begin = HEADER_4.size if data.startswith(MAGIC) else len(GZIP_HEADER % 0)
+    has_comment = data.startswith(MAGIC) or data[3] & COMMENT
     found = ORIGIN.fullmatch(data[begin:].partition(b"\0")[0]) if has_comment else None
     return np.array([float(value) for value in found.groups()] if found else (0, 0, 0), np.float64)

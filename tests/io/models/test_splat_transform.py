@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from clsplat.io.models.formats import read_model, write_model
 from tests.io.models.test_formats import BOUNDS, compare, model, parts, turns, world
+from tests.io.models.test_ply import UTM
 
 COMMAND = "node_modules/@playcanvas/splat-transform/bin/cli.mjs"
 
@@ -32,8 +33,8 @@ def convert():
         pytest.skip("CLSPLAT_NODE_MODULES names no folder in which "
                     "`npm install @playcanvas/splat-transform@2.7.1` was run")
 
-    def run(source, target):
-        done = subprocess.run([node, command, "-q", "-w", "-g", "cpu", "--spz-version", "3",
+    def run(source, target, version="3"):
+        done = subprocess.run([node, command, "-q", "-w", "-g", "cpu", "--spz-version", version,
                                source, target], capture_output=True, text=True, timeout=300)
         assert done.returncode == 0, done.stdout + done.stderr
         return target
@@ -49,11 +50,13 @@ def uneven(degree):
     return made
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".sog", ".spz"])
+@pytest.mark.parametrize("suffix, version", [(".ply", 0), (".sog", 0), (".spz", 3), (".spz", 4)])
 @pytest.mark.parametrize("degree", [0, 1, 3])
-def test_it_reads_what_we_write(tmp_path, convert, suffix, degree):
+def test_it_reads_what_we_write(tmp_path, convert, suffix, version, degree):
+    if version == 4:
+        pytest.importorskip("zstandard", reason="an extra: pip install '.[spz]'")
     gaussians = uneven(degree)
-    write_model(tmp_path / f"a{suffix}", gaussians)
+    write_model(tmp_path / f"a{suffix}", gaussians, spz_version=version)
     found = read_model(convert(tmp_path / f"a{suffix}", tmp_path / "found.ply"))
     bounds = list(BOUNDS[suffix])
     bounds[2] = max(1.5 * bounds[2], 1e-3)  # it normalises quaternions
@@ -63,11 +66,23 @@ def test_it_reads_what_we_write(tmp_path, convert, suffix, degree):
     compare(found, ours, (1e-6, 1e-5, 2e-3, 1e-5, 2e-3, 1e-5))
 
 
-@pytest.mark.parametrize("suffix", [".sog", ".spz", ".glb"])
-def test_we_read_what_it_writes(tmp_path, convert, suffix):
+def test_it_skips_the_origin_of_version_4(tmp_path, convert):
+    """Which stands before the table, without a flag; it reads the local coordinates."""
+    pytest.importorskip("zstandard", reason="an extra: pip install '.[spz]'")
+    gaussians = uneven(1)
+    write_model(tmp_path / "a.spz", gaussians.located(UTM), spz_version=4)
+    found = read_model(convert(tmp_path / "a.spz", tmp_path / "found.ply"))
+    compare(found, gaussians, (*BOUNDS[".spz"][:2], 0.015, *BOUNDS[".spz"][3:]))
+
+
+@pytest.mark.parametrize("suffix, version", [(".sog", "3"), (".spz", "3"), (".spz", "4"),
+                                             (".glb", "3")])
+def test_we_read_what_it_writes(tmp_path, convert, suffix, version):
+    if version == "4":
+        pytest.importorskip("zstandard", reason="an extra: pip install '.[spz]'")
     gaussians = uneven(2)
-    gaussians.save(tmp_path / "a.ply")
-    found = read_model(convert(tmp_path / "a.ply", tmp_path / f"b{suffix}"))
+    write_model(tmp_path / "a.ply", gaussians)
+    found = read_model(convert(tmp_path / "a.ply", tmp_path / f"b{suffix}", version))
     bounds = list(BOUNDS[suffix])
     bounds[0] = max(bounds[0], 1e-3)
     bounds[2], bounds[4], bounds[5] = 2 * bounds[2], 1 / 255, 2 * bounds[5]  # it rounds down

@@ -1,4 +1,4 @@
-"""SPZ of version 4, which clsplat does not write, with its streams of Zstandard."""
+"""SPZ of version 4 with its streams of Zstandard, beside a file as its README has it."""
 
 import gzip
 import struct
@@ -10,7 +10,9 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.models.formats import count_of, read_model, read_with_notes, write_model
-from tests.io.models.test_ply import equal, random_gaussians
+from clsplat.io.models.values import MIP
+from tests.io.models.test_formats import BOUNDS, compare, model
+from tests.io.models.test_ply import UTM, equal, random_gaussians
 from tests.refusals import refused
 
 zstandard = pytest.importorskip("zstandard", reason="an extra: pip install 'clsplat[spz]'")
@@ -49,6 +51,21 @@ def test_version_4_holds_what_version_3_does(tmp_path, count, degree):
     path = version_4(tmp_path, count, degree, flags=1)
     assert equal(read_model(path), read_model(tmp_path / "v3.spz"))
     assert count_of(path) == count and read_with_notes(path)[1].antialiased
+    write_model(tmp_path / "w.spz", random_gaussians(count, degree), (MIP,), spz_version=4)
+    assert (tmp_path / "w.spz").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("offset", [(0, 0, 0), UTM])
+def test_round_trip(tmp_path, offset):
+    """Far from the origin, the origin of the positions stands before the table."""
+    made = model(offset=offset)
+    write_model(tmp_path / "a.spz", made, spz_version=4)
+    bounds = list(BOUNDS[".spz"])
+    bounds[0] = 1e-7 * any(offset)
+    compare(read_model(tmp_path / "a.spz"), made, bounds)
+    assert np.array_equal(read_model(tmp_path / "a.spz").offset, offset)
+    data = (tmp_path / "a.spz").read_bytes()
+    assert (b"origin_of_positions 5" in data, data[14] & 2) == (any(offset), 0)
 
 
 def frame(content):
@@ -88,3 +105,6 @@ def test_the_library_that_is_missing_is_named(tmp_path, monkeypatch):
     path = version_4(tmp_path)
     monkeypatch.setitem(sys.modules, "zstandard", None)
     assert refused(lambda: read_model(path)) == f"{path}: {NO_ZSTD}"
+    new = tmp_path / "new.spz"
+    assert refused(lambda: write_model(new, model(), spz_version=4)) == f"{new}: {NO_ZSTD}"
+    assert not new.exists()
