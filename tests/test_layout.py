@@ -63,7 +63,8 @@ WALLS = {
     "pyopencl": ("clsplat/device/",),
     "pycolmap": ("clsplat/io/", "clsplat/sfm/", "tools/studies/"),
     "rasterio": ("clsplat/apps/geotiff.py", "tools/"),
-    **dict.fromkeys(("laspy", "lazrs", "pxr", "zstandard"), ("clsplat/io/",)),
+    **dict.fromkeys(("laspy", "lazrs", "pxr", "zstandard", "PIL", "pillow_heif", "rawpy"),
+                    ("clsplat/io/",)),
     "pyproj": ("clsplat/io/georeference/crs.py",),
     "OpenImageIO": ("clsplat/io/", "clsplat/evaluation/metrics.py"),
     "onnxruntime": ("clsplat/evaluation/metrics.py",),
@@ -77,7 +78,7 @@ WALLS = {
 # imports inside functions: folder -> packages (None: any). Start-up is worth it in these only
 FUNCTION_IMPORTS = {"clsplat/": {"importlib"}, "clsplat/cli/": None, "clsplat/__main__.py": None,
                     "clsplat/io/": {"laspy", "lazrs", "numpy", "pxr", "pycolmap", "OpenImageIO",
-                                    "pyproj", "zstandard"},
+                                    "pyproj", "zstandard", "PIL"},
                     "clsplat/evaluation/": {"OpenImageIO", "onnxruntime"},
                     "clsplat/cities/cluster.py": {"distributed"}}  # an extra, seldom asked for
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clsplat.errors import InputError
+from clsplat.io.photos.decoded import RAW_SUFFIXES
 from clsplat.io.photos.images import image_size
 from clsplat.io.photos.masks import FOLDERS, MaskFiles, check_shape, mask_folders, photo_of
 from clsplat.io.photos.metadata import Calibration, PhotoMetadata, read_metadata
@@ -13,9 +14,7 @@ from clsplat.io.photos.photo import Levels
 from clsplat.io.runs.run import CITY, OPTIONS
 from clsplat.io.scenes.sources import IMAGES, PHOTO_SUFFIXES
 
-UNREAD = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2", ".heic", ".heif",
-          ".avif", ".insp")
-RAW = "camera RAW and HEIC are not read: convert it to JPEG"
+UNREAD = (".avif", ".insp")
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".wmv")
 RECORD, UNFINISHED = "sfm.json", ".sfm"  # in the folder of a scene that was made of photos
 WRITTEN = (RECORD, UNFINISHED, OPTIONS, CITY)  # of which a folder that clsplat writes has one
@@ -84,15 +83,19 @@ def find_photos(folder: Path, masks: Path | None = None
         raise InputError(f"--masks {masks}: no such folder; give one with masks NAME.png")
     beside = [masks] if masks is not None else mask_folders(folder) if root != folder else []
     files = MaskFiles(beside, beside=masks is None)
-    photos, refused, stems = [], {}, set()
-    for path in sorted(_files(root, masks), key=lambda path: path.relative_to(root).as_posix()):
+    photos, refused = [], {}
+    paths = sorted(_files(root, masks), key=lambda path: path.relative_to(root).as_posix())
+    rendered = {path.with_suffix("") for path in paths
+                if _is_photo(path) and path.suffix.lower() not in RAW_SUFFIXES}
+    for path in paths:
+        if path.suffix.lower() in (*UNREAD, *RAW_SUFFIXES) and path.with_suffix("") in rendered:
+            continue  # a camera may write each photo in both formats
         given = path.relative_to(root).as_posix()
         name = given.encode(errors="replace").decode()
         if path.suffix.lower() in UNREAD:
-            refused[name] = RAW
+            refused[name] = "its format is not read: convert it to JPEG"
         if not _is_photo(path) or photo_of(path.name):
             continue
-        stems.add(name.rpartition(".")[0])
         if name != given:  # two such names may look the same
             refused[name] = "its name is not UTF-8: rename it"
             continue
@@ -109,9 +112,6 @@ def find_photos(folder: Path, masks: Path | None = None
         why = f"; {next(iter(refused.values()))}" if refused else ""
         raise InputError(f"{folder}: {len(photos)} photos that can be read, and a reconstruction "
                          f"needs at least {LEAST_PHOTOS}, better 20 or more{why}")
-    # a camera may write each photo in both formats
-    refused = {name: why for name, why in refused.items()
-               if why != RAW or name.rpartition(".")[0] not in stems}
     if beside and not any(photo.mask for photo in photos):
         raise InputError(f"{'--masks ' if masks else ''}{beside[0]}: has a mask for none of the "
                          "photos; name them as the photos, with .png as the suffix or after it")

@@ -22,11 +22,11 @@ def test_subfolders_are_searched_and_other_files_left_out(tmp_path):
 
 def test_raw_photos_are_named_unless_a_camera_wrote_both(tmp_path):
     folder_of(tmp_path, ["1.JPG", "2.JPG", "3.JPG"])
-    for name in ("1.DNG", "4.heic"):
+    for name in ("1.DNG", "2.avif", "4.heic", "5.avif", "6.dng"):
         (tmp_path / name).write_bytes(b"raw")
     photos, refused = find_photos(tmp_path)
-    assert len(photos) == 3
-    assert refused == {"4.heic": "camera RAW and HEIC are not read: convert it to JPEG"}
+    assert len(photos) == 3 and set(refused) == {"4.heic", "5.avif", "6.dng"}
+    assert refused["5.avif"] == "its format is not read: convert it to JPEG"
 
 
 def test_masks_of_another_shape_are_refused(tmp_path):
@@ -39,7 +39,7 @@ def test_masks_of_another_shape_are_refused(tmp_path):
 
 @pytest.mark.parametrize("names, masks, words", [
     (["a.jpg", "b.jpg"], None, "2 photos that can be read"),
-    (["a.heic", "b.dng"], None, "camera RAW and HEIC are not read"),
+    (["a.heic", "b.dng"], None, "a.heic: not an image that can be read"),
     (["a.jpg", "b.jpg", "c.jpg"], "elsewhere", "no such folder"),
     (["a.jpg", "b.jpg", "c.jpg"], ".", "has a mask for none of the photos"),
 ])

@@ -244,6 +244,7 @@ def _decoded(data: bytes) -> NDArray[np.uint8]:
     try:
         with opened(data) as image:
             check_expansion(len(data), image.width * image.height * 4)
+            image.to_srgb = None  # they are numbers, not colours
             colours = np.concatenate(list(image.bands(0, image.height)))
             # an encoder may leave out a last channel of 255
             last = image.alpha() if image.has_alpha else np.full(colours.shape[:2], 255, np.uint8)

@@ -3,9 +3,10 @@
 docs/guide/photos.md has a table of the formats that are read.
 """
 
+import functools
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError, clean
 from clsplat.io.fields import reading
+from clsplat.io.photos.decoded import Decoded, decoded
+from clsplat.io.photos.profiles import converted, to_srgb
 from clsplat.io.photos.resample import band_rows
 from clsplat.io.regular import open_regular
 
@@ -39,8 +42,12 @@ class Photo:
     `name` is for messages; `width` and `height` are pixels as stored; `orientation` is EXIF's
     number, 1 without one; `extra` is how many channels there are beyond colour and alpha. A photo
     that `is_deep` is grey, with samples of 16 bits, of which `levels` become black and white; None:
-    the least and the greatest of all.
+    the least and the greatest of all. `to_srgb` converts its colours, if they have another profile;
+    `has_unused_profile`: they have one that is damaged or for other channels.
     """
+
+    to_srgb: Any = None
+    has_unused_profile = False
 
     def __init__(self, name: str | Path, image: Any) -> None:
         self.name, self._image, self._spec = name, image, image.spec()
@@ -54,6 +61,17 @@ class Photo:
         self.is_deep: bool = str(spec.format) == "uint16" and len(set(self._channels)) == 1
         self.levels: Levels | None = None
         self.extra: int = spec.nchannels - len(set(self._channels)) - (self._alpha >= 0)
+        profile = spec.getattribute("ICCProfile")
+        self._use_profile(b"" if profile is None else np.asarray(profile, np.uint8).tobytes())
+
+    def _use_profile(self, profile: bytes) -> None:
+        if profile:
+            try:
+                if len(set(self._channels)) == 1:
+                    raise ValueError("it is grey")
+                self.to_srgb = to_srgb(profile)
+            except ValueError:
+                self.has_unused_profile = True
 
     def attribute(self, name: str) -> object:
         """The value of an entry of the header by OpenImageIO's name, such as "Exif:FocalLength":
@@ -70,6 +88,8 @@ class Photo:
                 low, high = self.levels
                 grey = (pixels - np.float32(low)) * np.float32(255 / (high - low))
                 pixels = (np.clip(grey, 0, 255) + np.float32(0.5)).astype(np.uint8)
+            if self.to_srgb is not None:
+                pixels = converted(pixels, self.to_srgb)
             yield pixels
 
     def samples(self) -> NDArray[np.uint16]:
@@ -136,23 +156,66 @@ class _ArrayPhoto(Photo):
                 pixels.ndim == 3 and not 1 <= pixels.shape[2] <= 4) or not pixels.size:
             raise InputError(f"a photo is {pixels.dtype}{list(pixels.shape)}; give uint8, uint16 "
                              "or float32 [H, W, 3]")
-        self.name = f"array {list(pixels.shape)}"
         self._pixels = pixels.reshape(*pixels.shape[:2], -1)
-        self.height, self.width, channels = self._pixels.shape
-        self.orientation, self.extra, self.levels = 1, 0, None
+        self._describe(f"array {list(pixels.shape)}", *self._pixels.shape)
+        self.is_deep = pixels.dtype == np.uint16 and self._channels == (0, 0, 0)
+
+    def _describe(self, name: str | Path, height: int, width: int, channels: int) -> None:
+        self.name, self.height, self.width = name, height, width
+        self.orientation, self.extra, self.levels, self.is_deep = 1, 0, None, False
         self._channels = (0, 1, 2) if channels > 2 else (0, 0, 0)
         self._alpha, self.has_alpha = channels - 1, channels in (2, 4)
-        self.is_deep = pixels.dtype == np.uint16 and channels < 3
 
     def _bands(self, top: int, bottom: int, kind: str) -> Iterator[NDArray[Any]]:
-        step = band_rows(self.width, self._pixels.shape[2])
+        pixels = self._pixels
+        step = band_rows(self.width, pixels.shape[2])
         for row in range(top, bottom, step):
-            rows = self._pixels[row:min(row + step, bottom)]
+            rows = pixels[row:min(row + step, bottom)]
             if rows.dtype != kind:
                 whole = 1.0 if rows.dtype == np.float32 else np.iinfo(rows.dtype).max
                 scaled = np.clip(np.nan_to_num(rows), 0, whole) * (np.iinfo(kind).max / whole)
                 rows = (scaled + 0.5).astype(kind)
             yield rows
+
+
+class _DecodedPhoto(_ArrayPhoto):
+    """A photo that is decoded as a whole, when its pixels or its metadata are first read."""
+
+    def __init__(self, name: str | Path, found: Decoded) -> None:
+        _check_claim(name, found.width, found.height, found.stored)
+        self._found = found
+        self._describe(name, found.height, found.width, found.channels)
+        self.orientation = found.orientation
+        self._use_profile(found.profile)
+
+    @functools.cached_property
+    def _pixels(self) -> NDArray[np.uint8]:  # type: ignore[override]
+        with _decoding(self.name):
+            pixels = self._found.pixels().reshape(self.height, self.width, -1)
+        return pixels
+
+    @functools.cached_property
+    def _spec(self) -> Any:
+        with _decoding(self.name):
+            header = self._found.header()
+        with _input(header, self.name) as (_, image):
+            return image.spec()
+
+
+def _encoded(source: bytes) -> str:
+    """The name of an encoded photo for messages."""
+    return f"encoded image of {len(source)} bytes"
+
+
+def _check_claim(name: str | Path, width: int, height: int, stored: int) -> None:
+    """InputError if a header claims more pixels than the stored bytes may hold."""
+    if not 0 < width * height <= min(MOST_PIXELS, PIXELS_PER_BYTE * stored):
+        raise InputError(f"{name}: damaged: its header claims {width}x{height} pixels; copy it "
+                         "again")
+
+
+def _decoding(name: str | Path) -> AbstractContextManager[None]:
+    return reading(name, "an image that can be read", f"copy it again, or {CONVERT}")
 
 
 @contextmanager
@@ -166,6 +229,12 @@ def opened(source: Source) -> Iterator[Photo]:
     """
     if isinstance(source, np.ndarray):
         yield _ArrayPhoto(source)
+        return
+    name = _encoded(source) if isinstance(source, bytes) else source
+    with _decoding(name):
+        found = decoded(source)
+    if found is not None:
+        yield _DecodedPhoto(name, found)
         return
     with _input(source) as (name, image):
         yield Photo(name, image)
@@ -216,11 +285,11 @@ def _input(source: str | Path | bytes, name: str | Path = "") -> Iterator[tuple[
         with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
             path = Path(folder, "image")
             path.write_bytes(source)
-            with _input(path, f"encoded image of {len(source)} bytes") as found:
+            with _input(path, name or _encoded(source)) as found:
                 yield found
         return
     name, path = name or source, Path(source)
-    with reading(path, "an image that can be read", f"copy it again, or {CONVERT}"):
+    with _decoding(path):
         with open_regular(path) as file:
             size = file.seek(0, 2)
     if str(path).encode(errors="replace").decode() != str(path):  # OpenImageIO takes no other
@@ -237,9 +306,7 @@ def _input(source: str | Path | bytes, name: str | Path = "") -> Iterator[tuple[
             raise InputError(f"{name}: photos in the format {image.format_name()} are not read; "
                              f"{CONVERT}")
         spec = image.spec()
-        if not 0 < spec.width * spec.height <= min(MOST_PIXELS, PIXELS_PER_BYTE * size):
-            raise InputError(f"{name}: damaged: its header claims {spec.width}x{spec.height} "
-                             "pixels; copy it again")
+        _check_claim(name, spec.width, spec.height, size)
         try:
             yield name, image
         except MemoryError:

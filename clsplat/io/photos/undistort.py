@@ -28,7 +28,7 @@ from clsplat.scene import Scene, View
 
 QUALITY = 98  # of JPEG; photos in other formats become PNG
 FOLDER = "undistorted"  # of a run or a city
-VERSION = 4  # of the undistorted files
+VERSION = 5  # of the undistorted files
 HOST_BYTES = 640 << 20  # of the photos that are undistorted at the same time
 PIXEL_BYTES = 10  # of a pixel, while it is undistorted in a thread, beside the map of the lens
 

@@ -15,13 +15,14 @@ import numpy as np
 
 from clsplat.camera import Lens
 from clsplat.errors import MOST_CHARACTERS, InputError
+from clsplat.io.photos.decoded import HEIC_SUFFIXES, RAW_SUFFIXES
 from clsplat.io.photos.metadata import QUARTERS
 from clsplat.io.photos.photo import Photo, common_levels, opened
 from clsplat.scene import Scene, View
 
 # of files that may be photos; what they are follows from their content
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".jxl",
-                  ".ppm", ".pgm", ".tga", ".gif")
+                  ".ppm", ".pgm", ".tga", ".gif", *HEIC_SUFFIXES, *RAW_SUFFIXES)
 IMAGES, SMALLER = "images", re.compile(r"images_(\d+)")  # as in Mip-NeRF 360
 ROUNDING = 1.5  # pixels, the tolerance of the size of a smaller photo
 QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that swap width and height
@@ -113,6 +114,10 @@ def _notes(views: Sequence[View], photos: Sequence[Photo]) -> Iterator[str]:
              "left out of training and scores"),
             ([photo.extra > 0 for photo in photos], "have more channels than colours and alpha: "
              "the first are used as colours, the others ignored"),
+            ([photo.to_srgb is not None for photo in photos], "have colours in another profile "
+             "than sRGB: they are converted to it"),
+            ([photo.has_unused_profile for photo in photos], "have a colour profile that is damaged"
+             " or not one of RGB: it is left out"),
             # by others, the size shows whether COLMAP has turned them
             ([photo.orientation in (2, 3, 4) or photo.orientation in QUARTER_TURNS
               and photo.width == photo.height for photo in photos],
