@@ -5,7 +5,8 @@ of these photos too, from a PNG of one pixel that gets them.
 """
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -78,15 +79,23 @@ def _heic(source: str | Path | bytes, size: int) -> Decoded:
                    info.get("icc_profile") or b"")
 
 
-def _raw(path: Path, size: int) -> Decoded:
+@contextmanager
+def _raw_file(path: Path) -> Iterator[Any]:
     rawpy = _library("rawpy", "rawpy", "camera RAW")
+    try:
+        with rawpy.RawPy() as raw:
+            raw.open_file(str(path))
+            yield raw
+    except rawpy.LibRawError as error:  # whose text is bytes
+        raise ValueError(error.args[0].decode(errors="replace")) from None
 
+
+def _raw(path: Path, size: int) -> Decoded:
     def pixels() -> NDArray[np.uint8]:
-        with rawpy.imread(str(path)) as raw:
+        with _raw_file(path) as raw:
             return np.asarray(raw.postprocess(**DEVELOPED))
 
-    with rawpy.RawPy() as raw:
-        raw.open_file(str(path))
+    with _raw_file(path) as raw:
         sizes = raw.sizes
     return Decoded(sizes.iwidth, sizes.iheight, 3, size, ORIENTATIONS.get(sizes.flip, 1), pixels,
                    lambda: _raw_header(path))

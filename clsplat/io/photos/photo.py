@@ -191,8 +191,10 @@ class _DecodedPhoto(_ArrayPhoto):
     @functools.cached_property
     def _pixels(self) -> NDArray[np.uint8]:  # type: ignore[override]
         with _decoding(self.name):
-            pixels = self._found.pixels().reshape(self.height, self.width, -1)
-        return pixels
+            pixels = self._found.pixels()
+            if pixels.shape[:2] != (self.height, self.width):
+                raise ValueError("its pixels have another size than its header says")
+        return pixels.reshape(self.height, self.width, -1)
 
     @functools.cached_property
     def _spec(self) -> Any:

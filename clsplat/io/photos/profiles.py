@@ -22,12 +22,10 @@ def to_srgb(profile: bytes) -> Any:
 
     try:
         source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-        if source.profile.xcolor_space.strip() != "RGB":
-            raise ValueError("a profile of other channels")
         found = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), "RGB", "RGB",
                                         ImageCms.Intent.RELATIVE_COLORIMETRIC)
     except (OSError, ImageCms.PyCMSError):
-        raise ValueError("a damaged profile") from None
+        raise ValueError("a damaged profile, or one of other channels") from None
     colours = np.array([list(itertools.product(STEPS, repeat=3))], np.uint8)
     moved = np.abs(converted(colours, found).astype(int) - colours).max()
     return found if moved > SAME else None

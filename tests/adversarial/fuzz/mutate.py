@@ -7,6 +7,7 @@ fit: else nothing behind them would ever be reached.
 
 import gzip
 import io
+import itertools
 import re
 import zipfile
 import zlib
@@ -23,7 +24,7 @@ WORDS = (b"", b"0", b"-1", b"nan", b"NaN", b"inf", b"-Infinity", b"2147483648", 
          b"/etc", "\u2028é".encode(), b"\\ud800", b"a\\nb")
 NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 FIELD = re.compile(rb"[^\s,:=\[\]{}\"]+")
-GZIP_MAGIC, GLB_MAGIC = b"\x1f\x8b", b"glTF"
+GZIP_MAGIC, GLB_MAGIC, SPZ_MAGIC = b"\x1f\x8b", b"glTF", b"NGSP"
 
 
 def mutated(random, data, other, text=False):
@@ -35,6 +36,8 @@ def mutated(random, data, other, text=False):
             data = _inside_gzip(random, data)
         elif data.startswith(GLB_MAGIC) and random.random() < 0.6:
             data = _inside_glb(random, data)
+        elif data.startswith(SPZ_MAGIC) and random.random() < 0.6:
+            data = _inside_spz(random, data)
         else:
             ways = LINES if text and random.random() < 0.75 else BYTES
             data = random.choice(ways)(random, data, other)
@@ -140,6 +143,25 @@ def _inside_gzip(random, data):
     except (OSError, EOFError, zlib.error):  # an earlier mutation hit it
         return data
     return gzip.compress(random.choice(BYTES)(random, content, content[::-1]), 1, mtime=0)
+
+
+def _inside_spz(random, data):
+    """The content of a stream of SPZ 4 mutated, the table made to fit."""
+    import zstandard
+    try:
+        at = int.from_bytes(data[16:20], "little")
+        table = np.frombuffer(data[at:at + 16 * data[15]], "<u8").reshape(-1, 2)
+        begins = list(itertools.accumulate(table[:, 0].tolist(), initial=at + table.nbytes))
+        parts = [data[begin:end] for begin, end in itertools.pairwise(begins)]
+        one = random.randrange(len(parts))
+        content = zstandard.ZstdDecompressor().decompress(parts[one], 1 << 20)
+    except (ValueError, IndexError, OverflowError, MemoryError, zstandard.ZstdError):
+        return data  # an earlier mutation hit it
+    content = random.choice(BYTES)(random, content, content[::-1])
+    parts[one] = zstandard.ZstdCompressor(1).compress(content)
+    sizes = table.copy()
+    sizes[one] = len(parts[one]), len(content)
+    return data[:at] + sizes.tobytes() + b"".join(parts)
 
 
 def _inside_glb(random, data):

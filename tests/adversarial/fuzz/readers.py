@@ -11,13 +11,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
+from clsplat.apps.measure import measure
 from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference import files as places
 from clsplat.io.georeference.control_points import read_control_points
 from clsplat.io.georeference.files import read_georeference, write_georeference, write_orientation
+from clsplat.io.georeference.geojson import read_features
 from clsplat.io.models.formats import read_model, write_model
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.photos.images import image_size, read_image, write_image
@@ -25,9 +28,11 @@ from clsplat.io.photos.metadata import read_metadata
 from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import from_toml, resolve
-from tests.data import layouts, projects
+from tests.data import layouts, projects, surfaces
+from tests.data.decoded_photos import write_dng, write_heic
 from tests.data.tiny_model import reconstruction, write_scene
 from tests.io.photos.test_metadata import GPS, photo
+from tests.io.photos.test_profiles import COLOURS, SPACES
 
 
 @dataclass(frozen=True)
@@ -90,13 +95,13 @@ def numbered(folder, items):
 PLACE = Georeference("EPSG:32632", (5e5, 5.3e6, 200.0), "made", 0.1)
 
 
-def _model(suffix):
+def _model(suffix, version=0):
     """The reader of a format, whose seeds are one file each."""
     def make(folder):
         for seed, (count, degree) in numbered(folder, ((6, 0), (300, 3))):
             model = gaussians_like(count, degree).located(np.array([2.0, 3.0, 4.0]) * (degree > 0))
             write_model(seed / f"model{suffix}", model, ("made",), np.array([0.0, 0.0, 1.0]),
-                        PLACE if degree and suffix == ".las" else None)
+                        PLACE if degree and suffix == ".las" else None, version)
             yield seed
     return Reader(make, lambda folder: check(read_model(folder / f"model{suffix}")),
                   files=(suffix,))
@@ -148,6 +153,33 @@ def _made_images(folder):
         write_image(seed / name, noise[..., :channels], quality=60)
         (seed / name).rename(seed / "image")  # what it is must be told from its bytes
         yield seed
+
+
+def _made_with_profiles(folder):
+    for seed, icc in numbered(folder, SPACES.values()):
+        Image.fromarray(COLOURS).save(seed / "image", "WEBP", lossless=True, icc_profile=icc)
+        yield seed
+
+
+def _made_decoded(write, name, *photos):
+    def make(folder):
+        for seed, arguments in numbered(folder, photos):
+            write(seed / name, *arguments)
+            yield seed
+    return make
+
+
+def _decoded(name):
+    def read(folder):
+        data = read_metadata(folder / name)
+        assert read_image(folder / name).shape == (data.height, data.width, 3)
+        _finite(data.latitude, data.longitude, data.altitude, data.focal_pixels)
+    return read
+
+
+LIGHT = np.tile(COLOURS / 255.0, (2, 2, 1))  # LibRaw refuses smaller ones
+HEICS = ((COLOURS,), (np.dstack([COLOURS, COLOURS[..., 0]]), 6), (COLOURS[..., 0], 3))
+DNGS = ((LIGHT,), (LIGHT, (0.4, 1.0, 0.6), 6), (LIGHT, (0.5, 1.0, 0.8), 3, b"RO"))
 
 
 def _image(folder):
@@ -247,6 +279,24 @@ def _read_control_points(folder):
         _finite(point.position, *(mark[1:] for mark in point.marks))
 
 
+def _measured(folder):
+    """A surface, and lines and polygons on it."""
+    for seed, degrees in numbered(folder, (False, True)):
+        surfaces.write_surface(seed / "surface.tif", surfaces.heap(*surfaces.places(1.0, 40)),
+                               pixel=1.0)
+        shapes = [surfaces.feature("LineString", surfaces.square(8), "line"), surfaces.feature(
+            "MultiPolygon", [[surfaces.square(9), surfaces.square(2)]], "heap")]
+        if degrees:
+            shapes = [surfaces.feature("Polygon", [[
+                [13.5614, 51.442], [13.5617, 51.442], [13.5617, 51.4422], [13.5614, 51.442]]])]
+        surfaces.write_features(seed / "shapes.json", *shapes)
+        yield seed
+
+
+def _measure(folder):
+    measure(folder / "surface.tif", read_features(folder / "shapes.json", surfaces.CRS))
+
+
 PROJECT_LENS = (40.0, 40.0, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0)
 ON_EARTH = (1.0, np.eye(3), np.array([4.1e6, 6.3e5, 4.8e6]))  # geocentric, metres
 
@@ -287,10 +337,16 @@ READERS = {
     "opensfm": Reader(_opensfm, _scene, text=True, files=(".json", ".csv")),
     "metashape": Reader(_metashape, _scene, text=True, files=(".xml",)),
     "image": Reader(_made_images, _image),
+    "profile": Reader(_made_with_profiles, _image),
+    "heic": Reader(_made_decoded(write_heic, "a.heic", *HEICS), _decoded("a.heic")),
+    "raw": Reader(_made_decoded(write_dng, "a.dng", *DNGS), _decoded("a.dng")),
     "metadata": Reader(_metadata, _read_metadata, files=(".jpg",)),
     "ply": Reader(_made_plys, _ply, files=(".ply",)),
     **{suffix[1:]: _model(suffix) for suffix in (
         ".spz", ".sog", ".glb", ".las")},  # lazrs aborts on bad LAZ
+    "spz4": _model(".spz", 4),
+    "geojson": Reader(_measured, _measure, text=True, files=(".json",)),
+    "surface": Reader(_measured, _measure, files=(".tif",)),
     "georeference": Reader(_georeferences, _georeference, text=True, files=(".json",)),
     "gcp": Reader(_control_points, _read_control_points, text=True, files=(".txt",)),
     "options": Reader(_made_options, _options, text=True),

@@ -1,17 +1,17 @@
 """HEIC and camera RAW are read as JPEG is: colours, metadata, nothing upside down."""
 
 import sys
+from io import BytesIO
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from clsplat.errors import InputError
+from clsplat.io.photos import decoded, photo
 from clsplat.io.photos.images import image_size, read_alpha, read_image, write_image
 from clsplat.io.photos.metadata import read_metadata
-from clsplat.io.photos.photo import opened
 from clsplat.sfm.photos import find_photos
-from tests.data.decoded_photos import write_dng, write_heic
+from tests.data.decoded_photos import exif_of, write_dng, write_heic
 from tests.io.photos.test_profiles import COLOURS, SPACES, expected
 from tests.refusals import refused
 
@@ -60,8 +60,8 @@ def test_heic_is_upright(heic, orientation, turned):
 def test_heic_with_alpha_grey_and_a_profile(heic):
     alpha = np.where(SHADES[..., :1] > 100, 255, 0).astype(np.uint8)
     path = heic(np.dstack([SHADES, alpha]))
-    with opened(path) as photo:
-        assert photo.has_alpha and photo.extra == 0
+    with photo.opened(path) as found:
+        assert found.has_alpha and found.extra == 0
     assert np.array_equal(read_alpha(path), alpha[..., 0])
     assert np.abs(read_image(path) - SHADES.astype(int)).max() <= 3
     grey = read_image(heic(SHADES[..., 0]))
@@ -87,11 +87,29 @@ def test_raw_is_developed_in_its_own_white_balance(dng):
 def test_raw_has_the_metadata_of_its_tiff(dng, orientation, magic):
     """It is read as stored, with the turn to do, as JPEG is. Olympus and Panasonic have magic
     numbers of their own."""
-    path = dng(np.full((48, 64, 3), 0.25), orientation=orientation)
+    light = np.full((48, 64, 3), 0.25)
+    light[:12, :16] = 0.8  # the corner that is stored first
+    path = dng(light, orientation=orientation, magic=magic)
     data = read_metadata(path)
     assert (data.width, data.height, data.orientation) == (64, 48, orientation)
     check_metadata(data, "Drone")
-    assert read_image(path).shape == (48, 64, 3)
+    found = read_image(path)
+    assert found.shape == (48, 64, 3) and found[4, 4].min() > 200 and found[-4:].max() < 150
+
+
+def test_pixels_that_are_no_squares_are_refused(dng):
+    path = dng(np.full((48, 64, 3), 0.25), scale=(2, 1))
+    refused(lambda: read_image(path), "a.dng: ", "another size than its header says")
+
+
+def test_raw_of_fuji_begins_with_a_jpeg_that_has_its_metadata(tmp_path):
+    jpeg = BytesIO()
+    Image.fromarray(SHADES).save(jpeg, "JPEG", exif=exif_of("Fuji"))
+    (tmp_path / "a.raf").write_bytes(b"FUJIFILMCCD-RAW 0201" + bytes(64) + jpeg.getvalue())
+    header = decoded._raw_header(tmp_path / "a.raf")
+    (tmp_path / "header.png").write_bytes(header)
+    data = read_metadata(tmp_path / "header.png")
+    assert (data.camera, data.lens) == ("Made Fuji", "wide 8.8") and data.latitude < -30
 
 
 def test_a_photo_under_the_name_of_raw_is_what_its_content_says(tmp_path):
@@ -118,8 +136,14 @@ def test_damage(request, make, light):
     data = path.read_bytes()
     for share in (0.02, 0.3, 0.7):
         path.write_bytes(data[:int(len(data) * share)])
-        with pytest.raises(InputError, match=path.name):
-            read_image(path)
+        line = refused(lambda: read_image(path), path.name)
+        assert "b'" not in line
+
+
+def test_a_claim_of_too_many_pixels_is_refused(heic, monkeypatch):
+    path = heic()
+    monkeypatch.setattr(photo, "MOST_PIXELS", 64 * 48 - 1)
+    refused(lambda: read_image(path), "a.heic: damaged: its header claims 64x48 pixels")
 
 
 def test_they_are_photos_of_a_folder(heic, dng, tmp_path):

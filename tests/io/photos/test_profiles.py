@@ -27,13 +27,13 @@ TO_SRGB = {"P3": [[1.2249402, -0.2249402, 0], [-0.0420570, 1.0420570, 0],
            "Adobe": [[1.3983557, -0.3983557, 0], [0, 1, 0], [0, -0.0429290, 1.0429290]]}
 
 
-def profile(primaries, curve):
+def profile(primaries, curve, white=(0.9642, 1, 0.82491)):
     """An ICC profile with a matrix, and curves y = (a x + b)^g, or c x below d."""
     def fixed(*values):
         return struct.pack(f">{len(values)}i", *(round(value * 65536) for value in values))
 
     curves = b"para" + struct.pack(">IHH", 0, 3, 0) + fixed(*curve)
-    tags = {b"wtpt": b"XYZ \0\0\0\0" + fixed(0.9642, 1, 0.82491), b"desc": b"desc" + struct.pack(
+    tags = {b"wtpt": b"XYZ \0\0\0\0" + fixed(*white), b"desc": b"desc" + struct.pack(
         ">II", 0, 2) + b"a" + bytes(79), b"cprt": b"text\0\0\0\0none\0"}
     for letter, colour in zip(b"rgb", primaries):
         tags[bytes([letter]) + b"XYZ"] = b"XYZ \0\0\0\0" + fixed(*colour)
@@ -89,8 +89,9 @@ def test_what_srgb_lacks_is_clipped_and_grey_stays(tmp_path):
 
 @pytest.mark.parametrize("icc", [
     None, ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes(),
-    profile(SRGB, OF_SRGB)])
+    profile(SRGB, OF_SRGB), profile(SRGB, OF_SRGB, (0.95045, 1, 1.08905))])
 def test_srgb_and_no_profile_change_no_byte(tmp_path, icc):
+    """Also where the profile names D65 as its white, as those of cameras do."""
     path = save(tmp_path / "a.png", COLOURS, icc)
     assert np.array_equal(read_image(path), COLOURS)
     with opened(path) as photo:
