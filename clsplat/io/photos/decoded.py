@@ -5,6 +5,7 @@ of these photos too, from a PNG of one pixel that gets them.
 """
 
 import io
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -32,6 +33,8 @@ IFD_TAGS = {EXIF_IFD: (37386, 40962, 40963, 41486, 41487, 41488, 41989, 42033, 4
             GPS_IFD: (1, 2, 3, 4, 5, 6, 9, 31)}
 TIFF = {b"II": b"II*\0", b"MM": b"MM\0*"}  # some makers have numbers of their own there
 FUJI = b"FUJI"
+# about tags that a maker writes in a way of its own
+warnings.filterwarnings("ignore", category=UserWarning, module=r"PIL\.TiffImagePlugin")
 
 
 class Decoded(NamedTuple):
