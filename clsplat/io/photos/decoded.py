@@ -75,11 +75,12 @@ def _library(name: str, package: str, what: str) -> Any:
 
 def _heic(source: str | Path | bytes, size: int) -> Decoded:
     """libheif turns the pixels as the file asks, so that EXIF's orientation is done."""
-    heif = _library("pillow_heif", "pillow-heif", "HEIC").open_heif(source)
-    (width, height), info = heif.size, heif.info
-    return Decoded(width, height, len(heif.mode), size, 1, lambda: np.asarray(heif),
-                   lambda: _image_with(info.get("exif") or b"", info.get("xmp") or b""),
-                   info.get("icc_profile") or b"")
+    read = _library("pillow_heif", "pillow-heif", "HEIC").open_heif
+    heif = read(source)  # it holds the file, and who reads headers keeps many photos
+    exif, xmp, profile = (heif.info.get(key) or b"" for key in ("exif", "xmp", "icc_profile"))
+    width, height = heif.size
+    return Decoded(width, height, len(heif.mode), size, 1, lambda: np.asarray(read(source)),
+                   lambda: _image_with(exif, xmp), profile)
 
 
 @contextmanager
