@@ -79,7 +79,8 @@ def _heic(source: str | Path | bytes, size: int) -> Decoded:
     heif = read(source)  # it holds the file, and who reads headers keeps many photos
     exif, xmp, profile = (heif.info.get(key) or b"" for key in ("exif", "xmp", "icc_profile"))
     width, height = heif.size
-    return Decoded(width, height, len(heif.mode), size, 1, lambda: np.asarray(read(source)),
+    # copied: in some versions of pillow-heif they are memory that goes with the file
+    return Decoded(width, height, len(heif.mode), size, 1, lambda: np.array(read(source)),
                    lambda: _image_with(exif, xmp), profile)
 
 
