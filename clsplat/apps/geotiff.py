@@ -160,7 +160,8 @@ def read_surface(path: Path, bounds: Bounds | None = None, most: int = MOST_SIDE
     most : pixels along a side; of a larger part, means of 2 x 2, 4 x 4, ... pixels are read.
     """
     try:
-        with bounded_memory(), rasterio.open(path) as file:
+        # a signalling NaN is one as well
+        with bounded_memory(), np.errstate(invalid="ignore"), rasterio.open(path) as file:
             crs, size = _checked(path, file), file.transform.a
             whole = MapGrid(np.eye(3), np.zeros(3), file.transform.c, file.transform.f, size,
                             file.width, file.height, math.inf)
@@ -210,8 +211,8 @@ def _checked(path: Path, file: Any) -> str | None:
     if file.count > 2 or file.dtypes[0] == "uint8":
         raise InputError(f"{path}: has {file.count} bands of {file.dtypes[0]}, as pictures have, "
                          "not heights; give a surface.tif or terrain.tif of `clsplat map`")
-    if max(abs(place.b), abs(place.d), abs(place.a + place.e)) > NORTH_UP * abs(place.a) or (
-            place.a <= 0):
+    if not np.isfinite(place[:6]).all() or place.a <= 0 or max(
+            abs(place.b), abs(place.d), abs(place.a + place.e)) > NORTH_UP * abs(place.a):
         raise InputError(f"{path}: its pixels are not square with north at the top; convert it "
                          "with gdalwarp -tr SIZE SIZE")
     if file.crs is None:

@@ -2,11 +2,14 @@
 
 import csv
 import json
+import warnings
 
 import numpy as np
 import pytest
 
+from clsplat.apps.geotiff import read_surface
 from clsplat.apps.measure import measure
+from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.georeference.crs import on_ground
 from clsplat.io.georeference.geojson import read_features
@@ -300,6 +303,20 @@ def test_hostile_rasters_are_refused_in_one_line(tmp_path, options, message):
     surface = write_surface(tmp_path / "s.tif", **options)
     shapes = write_features(tmp_path / "f.json", feature("Polygon", [square(5)]))
     refused(clsplat_("measure", surface, "--geojson", shapes, "-o", tmp_path / "o"), message)
+
+
+def test_numbers_that_are_none(tmp_path):
+    """A place that is NaN is refused; heights that are NaN are none, signalling ones too."""
+    heights = np.zeros((40, 40), np.float32)
+    heights.view(np.uint32)[:2] = 0x7f800001
+    surface = write_surface(tmp_path / "s.tif", heights)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        found = read_surface(surface).heights
+        assert np.isnan(found[:2]).all() and not found[2:].any()
+        write_surface(surface, heights, top=np.nan)
+        with pytest.raises(InputError, match="s.tif: its pixels are not square"):
+            read_surface(surface)
 
 
 def test_other_files_and_words_are_refused_in_one_line(surfaces, tmp_path):
