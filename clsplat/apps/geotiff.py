@@ -36,25 +36,34 @@ FINER = 4  # places along a side of a pixel that are inside a polygon or outside
 
 
 class Raster:
-    """A raster in a temporary file: uint8 red, green, blue and alpha if it has `colour`, else
-    float32 with nan where nothing is known. `bands` are their names and units; without a CRS its
-    coordinates are local."""
+    """A raster in a temporary file: float32 if its `nodata`, where nothing is known, is nan, else
+    uint8; and uint8 red, green, blue and alpha if that is None. `bands` are their names and units;
+    without a CRS its coordinates are local."""
 
     def __init__(self, path: Path, grid: MapGrid, crs: str | None,
-                 bands: Mapping[str, str | None], colour: bool) -> None:
-        self._path, self.grid = path, grid
-        self._dtype = np.dtype(np.uint8 if colour else np.float32)
+                 bands: Mapping[str, str | None], nodata: float | None) -> None:
+        self._path, self.grid, colour = path, grid, nodata is None
+        self._bands, self._nodata = dict(bands), nodata
+        self._dtype = np.dtype(np.float32 if nodata is not None and np.isnan(nodata) else np.uint8)
         with _writing(path.parent.parent):
             self._file = rasterio.open(
                 path, "w", driver="GTiff", width=grid.columns, height=grid.rows, count=len(bands),
                 dtype=self._dtype.name, crs=crs, tiled=True, transform=rasterio.Affine(
                     grid.resolution, 0, grid.left, 0, -grid.resolution, grid.top),
-                blockxsize=TILE, blockysize=TILE, compress="DEFLATE", predictor=2 if colour else 3,
-                nodata=None if colour else np.nan, photometric="RGB" if colour else "MINISBLACK",
-                alpha="YES" if colour else "NO", bigtiff="IF_SAFER", sparse_ok=True)
+                blockxsize=TILE, blockysize=TILE, compress="DEFLATE", nodata=nodata,
+                predictor=2 if self._dtype == np.uint8 else 3, alpha="YES" if colour else "NO",
+                photometric="RGB" if colour else "MINISBLACK", bigtiff="IF_SAFER", sparse_ok=True)
         for number, (name, unit) in enumerate(bands.items(), 1):
             self._file.set_band_description(number, name)
             self._file.set_band_unit(number, unit or "")
+
+    @property
+    def bands(self) -> list[dict[str, Any]]:
+        """The name, type, value of what is unknown and unit of each band, as STAC writes them."""
+        nodata = {} if self._nodata is None else {
+            "nodata": "nan" if math.isnan(self._nodata) else self._nodata}
+        return [{"name": name, "data_type": self._dtype.name, **nodata,
+                 **({"unit": unit} if unit else {})} for name, unit in self._bands.items()]
 
     def write(self, place: Place, values: NDArray[Any]) -> None:
         """Replace a square of pixels [S, S, bands], `place` squares (across, down) from the upper

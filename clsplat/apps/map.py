@@ -15,24 +15,43 @@ import scipy
 from numpy.typing import NDArray
 
 from clsplat.apps.geotiff import Raster, bounded_memory
+from clsplat.apps.hillshade import NODATA, TAGS, write_hillshade
+from clsplat.apps.map_files import (
+    CONTOURS,
+    FILES,
+    ITEM,
+    ORTHOPHOTO,
+    PREVIEW,
+    RECORD,
+    REPORT,
+    SHADING,
+    SURFACE,
+    TERRAIN,
+    write_item,
+    write_styles,
+)
 from clsplat.apps.map_grid import MapGrid, ground_resolution
+from clsplat.apps.map_report import write_report
 from clsplat.apps.orthophoto import Extent, MapPainter, extent_of
 from clsplat.apps.terrain import check_width, write_terrain
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
+from clsplat.evaluation.survey import (
+    Photographs,
+    photographs_of,
+    survey_of,
+    vertical_reference,
+)
 from clsplat.georeference import AXES, CHECK, CONTROL
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
-from clsplat.io.georeference.crs import WGS84, heights_of, on_ground
+from clsplat.io.georeference.crs import WGS84, on_ground
 from clsplat.io.records import write_object
-from clsplat.report.figures.map_preview import write_preview
+from clsplat.report.figures.map_preview import USUAL, write_preview
 from clsplat.scene import Scene
 from clsplat.training.progress import SilentProgress
 
-ORTHOPHOTO, SURFACE, TERRAIN = "orthophoto.tif", "surface.tif", "terrain.tif"
-CONTOURS, PREVIEW, RECORD = "contours.geojson", "preview.png", "map.json"
-FILES = ORTHOPHOTO, SURFACE, TERRAIN, CONTOURS, PREVIEW, RECORD
 CONTOUR_SIDE = 3000  # pixels of the coarser raster that they are made from
 PREVIEW_SIDE = 1400  # pixels, the longer side of each of its pictures
 HEIGHTS = (0.01, 0.99)  # quantiles that the record has: single pixels may be far off
@@ -40,7 +59,6 @@ DEGREE_DIGITS = 8  # after the point: a millimetre
 DIGITS = 9  # of heights
 COLOURS = dict.fromkeys(("red", "green", "blue", "alpha"))  # bands, without a unit
 HEIGHTS_OF, GROUND_OF = ("height", "spread"), ("height", "ground")
-BANDS = {ORTHOPHOTO: tuple(COLOURS), SURFACE: HEIGHTS_OF, TERRAIN: GROUND_OF}
 SCRATCH = ".drawing-"  # how the name of the temporary folder begins
 MOST_HALVINGS = 9  # a tile is then one pixel
 
@@ -51,7 +69,6 @@ THICK = 0.5  # of a pit's depth: over less of it, and of LEAST_DEPTH, a true bot
 LEAST_SURE = 0.1  # of the samples of a window: with fewer, no unsure height is kept
 LINES, MOST_LINES = 15, 1000  # contour lines, about, unless the interval is given; and at most
 ROUND = np.array([float(f"{digit}e{power}") for power in range(-6, 6) for digit in (1, 2, 5)])
-USUAL = (0.02, 0.98)  # quantiles of the heights
 SMOOTHING = 4.0  # pixels: noise of single pixels is no contour line
 SHORTEST = 48  # points of a line; shorter ones are noise
 
@@ -61,7 +78,8 @@ ContourLine = tuple[float, NDArray[np.float64]]  # its height, and (column, row)
 
 def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Path, *,
               interval: float | None = None, terrain: float | None = None, follow: bool = False,
-              progress: SilentProgress | None = None) -> dict[str, Any]:
+              whole: Scene | None = None, progress: SilentProgress | None = None
+              ) -> dict[str, Any]:
     """Write the map of a run into a folder; the files of an earlier map are replaced or removed.
 
     Parameters
@@ -73,13 +91,15 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
     interval : between contour lines, map units; None: a round number that suits; 0: none.
     terrain : the width of the widest object that is no ground, map units; None: no terrain.
     follow : whether the bounds become those of all that the map can show.
+    whole : the scene at the size of its photos; None: `scene` has that.
     progress : is given what is done.
 
     Returns
     -------
     What RECORD holds.
     """
-    progress = progress or SilentProgress()
+    progress, whole = progress or SilentProgress(), whole or scene
+    photos = photographs_of(whole)
     crs = scene.georeference.crs if scene.georeference else None
     if terrain is not None:
         check_width(terrain, grid.resolution)
@@ -92,10 +112,10 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         if follow:
             grid = extent.around(grid)
         unit = "metre" if crs else "scene unit"
-        statement = _stated(scene)
+        statement = _stated(whole, photos)
         units = dict.fromkeys(HEIGHTS_OF, unit)
-        colours = Raster(Path(scratch) / "colours", grid, crs, COLOURS, True)
-        drawn, surface = (Raster(Path(scratch) / name, grid, crs, units, False)
+        colours = Raster(Path(scratch) / "colours", grid, crs, COLOURS, None)
+        drawn, surface = (Raster(Path(scratch) / name, grid, crs, units, np.nan)
                           for name in ("drawn", "surface"))
         _draw(run, scene, grid, extent, device, (colours, drawn), progress)
         progress.phase("leaving out pits")
@@ -117,20 +137,28 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         if interval:
             progress.phase("drawing contour lines")
         lines = contour_lines(heights, interval)  # first of all: there may be too many of them
-        files, ground = [ORTHOPHOTO, SURFACE, PREVIEW], dict[str, Any]()
+        rasters, ground = {ORTHOPHOTO: colours, SURFACE: surface}, dict[str, Any]()
         if terrain is not None:
             progress.phase("finding the ground")
             bare = Raster(Path(scratch) / "bare", grid, crs, dict(zip(GROUND_OF, (unit, None))),
-                          False)
+                          np.nan)
             ground["terrain"] = {"width": terrain,
                                  "ground": write_terrain(surface, bare, terrain)}
             bare.finish(tags)
-            bare.save(folder / TERRAIN)
-            files.append(TERRAIN)
+            rasters[TERRAIN] = bare
+        progress.phase("shading")
+        for name in set(SHADING) & set(rasters):
+            shade = Raster(Path(scratch) / f"shade of {name}", grid, crs, {"hillshade": None},
+                           NODATA)
+            write_hillshade(rasters[name], shade)
+            shade.finish(tags | TAGS)
+            rasters[SHADING[name]] = shade
         progress.phase("writing GeoTIFF files")
-        colours.save(folder / ORTHOPHOTO)
-        surface.save(folder / SURFACE)
+        for name, raster in rasters.items():
+            raster.save(folder / name)
         small = surface.level(PREVIEW_SIDE)
+        short = "m" if crs else "scene units"
+        files = [*rasters, PREVIEW, *write_styles(folder, rasters, small, short)]
         with replacing(folder / PREVIEW) as file:
             write_preview(file, colours.whole(small), surface.whole(small)[..., 0],
                           [line * 2.0**(level - small) for _, line in lines],
@@ -138,16 +166,23 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
         if interval:
             _write_contours(folder / CONTOURS, lines, grid, level, crs)
             files.append(CONTOURS)
-    known = heights[np.isfinite(heights)]
-    record = {
-        "crs": crs, "unit": unit, "resolution": grid.resolution,
-        "columns": grid.columns, "rows": grid.rows, "bounds": grid.bounds,
-        "heights": np.quantile(known, HEIGHTS).tolist(),
-        "covered": float(len(known) / heights.size), "contour_interval": interval,
-        "pits": dropped, **ground, **statement,
-        "bands": {name: list(bands) for name, bands in BANDS.items() if name in files},
-        "axes": grid.axes.tolist(), "origin": grid.origin.tolist(), "files": files}
-    for name in set(FILES) - {*files, RECORD}:
+        known = heights[np.isfinite(heights)]
+        record = {
+            "crs": crs, "unit": unit, "resolution": grid.resolution,
+            "columns": grid.columns, "rows": grid.rows, "bounds": grid.bounds,
+            "heights": np.quantile(known, HEIGHTS).tolist(),
+            "covered": float(len(known) / heights.size), "contour_interval": interval,
+            "pits": dropped, **ground, **statement,
+            "bands": {name: [band["name"] for band in raster.bands]
+                      for name, raster in rasters.items()},
+            "axes": grid.axes.tolist(), "origin": grid.origin.tolist(),
+            "files": [*files, REPORT, *[ITEM] * bool(crs and photos.period)]}
+        progress.phase("writing the report")
+        name = run.path.resolve().name
+        write_report(folder / REPORT, name, survey_of(whole), photos, rasters, small, record)
+        if ITEM in record["files"]:
+            write_item(folder, name, grid, photos, rasters, record)
+    for name in set(FILES) - {*record["files"], RECORD}:
         (folder / name).unlink(missing_ok=True)
     write_object(folder / RECORD, record, indent=2)
     return record
@@ -281,12 +316,15 @@ def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: 
         file.write(json.dumps({"type": "FeatureCollection", "features": features}).encode())
 
 
-def _stated(scene: Scene) -> dict[str, Any]:
+def _stated(scene: Scene, photos: Photographs) -> dict[str, Any]:
     """What is known of a map's exactness, for RECORD: the ground sampling distance of the photos,
-    the vertical reference, and the georeference with its residuals, metres."""
-    result: dict[str, Any] = {"ground_sampling_distance": ground_resolution(scene)}
+    the vertical reference, when the photos were taken, and the georeference with its residuals,
+    metres."""
+    result: dict[str, Any] = {"ground_sampling_distance": ground_resolution(scene),
+                              "vertical_reference": vertical_reference(scene.georeference)}
+    if photos.period:
+        result["taken"] = [each.isoformat() for each in photos.period]
     if place := scene.georeference:
-        result["vertical_reference"] = place.vertical or heights_of(place.crs).name or "unknown"
         result["georeference"] = {
             "source": place.source, "residual": place.residual, "warnings": list(place.warnings),
             "residuals_rms": {role: {axis: error.rms for axis, error in errors.items()}

@@ -14,15 +14,17 @@ from numpy.typing import NDArray
 
 from clsplat.apps.differences import DETECTION, check_same_system, heights_at, middles, nmad
 from clsplat.apps.geotiff import Raster, Surface, bounded_memory, read_surface
+from clsplat.apps.qgis import STOPS, write_heights_style, write_ramp
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
 from clsplat.io.records import plain, write_object
-from clsplat.report.figures.difference import write_difference
+from clsplat.report.figures import hex_colours
+from clsplat.report.figures.difference import CHANGES, strongest, write_difference
 
 ALIGNED, DIFFERENCE, PICTURE = "aligned.tif", "difference.tif", "difference.png"
-RECORD = "comparison.json"
-FILES = ALIGNED, DIFFERENCE, PICTURE, RECORD
+RECORD, STYLES = "comparison.json", ("aligned.qml", "difference.qml")
+FILES = ALIGNED, DIFFERENCE, PICTURE, RECORD, *STYLES
 SLOPES = 0.05, 0.2, 1.0  # rise over run, between classes of slope: steep places are noisier
 SMOOTHING = 8.0, 4.0, 2.0, 1.0  # pixels, from the first alignment to the last
 TRIM = 3.0  # NMAD: beyond, a place has changed
@@ -175,9 +177,12 @@ def write_comparison(first: Path, second: Path, folder: Path,
     _write(folder / ALIGNED, early, {"height": early.unit}, early.heights + difference)
     _write(folder / DIFFERENCE, early, {"difference": early.unit, "noise": early.unit}, difference,
            np.where(np.isfinite(difference), alignment.noise, np.nan))
+    changed = np.where(grown | gone, difference, np.nan)
     with replacing(folder / PICTURE) as file:
-        write_difference(file, early.heights, np.where(grown | gone, difference, np.nan), pixel,
-                         DETECTION * noise, early.unit)
+        write_difference(file, early.heights, changed, pixel, DETECTION * noise, early.unit)
+    write_heights_style(folder / ALIGNED, early.heights + difference, early.unit)
+    most = strongest(changed, DETECTION * noise)
+    write_ramp(folder / DIFFERENCE, hex_colours(CHANGES, STOPS), -most, most, early.unit)
     write_object(folder / RECORD, record, indent=2)
     return record  # type: ignore[no-any-return]
 
@@ -185,7 +190,7 @@ def write_comparison(first: Path, second: Path, folder: Path,
 def _write(path: Path, like: Surface, bands: dict[str, str | None], *heights: Heights) -> None:
     """Replace a file by a COG with the grid of a surface."""
     with bounded_memory(), TemporaryDirectory(dir=path.parent) as scratch:
-        raster = Raster(Path(scratch) / "raw", like.grid, like.crs, bands, False)
+        raster = Raster(Path(scratch) / "raw", like.grid, like.crs, bands, np.nan)
         raster.write((0, 0), np.stack(heights, axis=-1))
         raster.finish({"TIFFTAG_SOFTWARE": "clsplat"})
         raster.save(path)

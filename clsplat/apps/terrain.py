@@ -82,14 +82,14 @@ def terrain_of(heights: Heights, cell: float, width: float) -> tuple[Heights, He
     width : of the widest object, in the same unit.
     """
     known, widest = np.isfinite(heights), max(1, math.ceil(width / cell / 2))
-    surface = _nearest(heights, known)
+    surface = nearest(heights, known)
     closed = scipy.ndimage.grey_closing(surface, PIT_WIDTH)
     pits = closed - surface > PIT * width / CELLS
     # the lowest ground around, to which pits are lifted; and what is unknown is as low, as it must
     # not widen an object beside it
     around = scipy.ndimage.minimum_filter(np.where(known, closed, np.inf), 2 * widest + 1)
     opened = np.where(known, np.where(pits, np.maximum(surface, around), surface),
-                      _nearest(around, np.isfinite(around)))
+                      nearest(around, np.isfinite(around)))
     known &= ~pits
     is_object = np.zeros(known.shape, bool)
     for radius in range(1, widest + 1):
@@ -111,7 +111,7 @@ def _tolerance(terrain: Heights, cell: float, width: float) -> Heights:
     return (ABOVE + ABOVE_SLOPE * slope[:-1, :-1]) * width / CELLS
 
 
-def _nearest(heights: Heights, known: NDArray[np.bool_]) -> Heights:
+def nearest(heights: Heights, known: NDArray[np.bool_]) -> Heights:
     """Heights of which those that are not known are the nearest known one."""
     places = scipy.ndimage.distance_transform_edt(~known, return_distances=False,
                                                   return_indices=True)
@@ -127,7 +127,7 @@ def filled(heights: Heights, known: NDArray[np.bool_]) -> Heights:
     steps = [scipy.sparse.diags_array([-np.ones(size), np.ones(size)], offsets=[0, 1],
                                       shape=(max(size - 1, 0), size)) for size in heights.shape]
     rows = scipy.sparse.kronsum(*(step.T @ step for step in reversed(steps)), "csr")[gap]
-    result = _nearest(heights, known)
+    result = nearest(heights, known)
     flat = result.ravel()
     flat[gap], _ = scipy.sparse.linalg.cg(rows[:, gap], -rows[:, ~gap] @ flat[~gap], flat[gap],
                                           rtol=PRECISION, maxiter=MOST_STEPS)

@@ -40,12 +40,14 @@ def map_command(run: Path, output: Path, resolution: float | None,
                 scene: Path | None, device: str) -> None:
     """Draw RUN from straight above, as a map.
 
-    Writes a true orthophoto and a surface model as GeoTIFF, contour lines as GeoJSON, a preview
-    and a record; with --terrain also the ground without buildings and trees. Alpha is 0 in holes,
-    and where fewer than two photos show the place. Heights that the model is unsure of are left
-    out of the surface.
+    Writes a true orthophoto, a surface model and its hillshade as GeoTIFF, with styles for QGIS,
+    contour lines as GeoJSON, a preview, a report of the survey as PDF, a STAC item and a record;
+    with --terrain also the ground without buildings and trees. Alpha is 0 in holes, and where
+    fewer than two photos show the place. Heights that the model is unsure of are left out of the
+    surface.
     """
-    from clsplat.apps.map import FILES, sentences
+    from clsplat.apps.map import sentences
+    from clsplat.apps.map_files import FILES, ITEM
     from clsplat.cli.progress import Progress
     from clsplat.evaluation.run import Run
     for name in FILES:
@@ -68,6 +70,8 @@ def map_command(run: Path, output: Path, resolution: float | None,
                    "terrain beneath the rest is interpolated")
     for line in sentences(record, unit):
         click.echo(f"{output}: {line}")
+    if record["crs"] and ITEM not in record["files"]:
+        click.echo(f"{output}: no {ITEM}, as no photo's file tells when it was taken")
     known = record["covered"] * record["columns"] * record["rows"]
     unsure = record["pits"] / (record["pits"] + known)
     if unsure > MOST_UNSURE:
@@ -84,8 +88,9 @@ def draw_map(run: Run, scene: Path | None, output: Path, device: str, progress: 
     from clsplat.apps.map import write_map
     from clsplat.apps.map_grid import map_grid
     from clsplat.device import choose_device
-    data = replace(run.scene(scene).with_up(run.up), georeference=run.georeference)
+    whole = replace(run.scene(scene, whole=True).with_up(run.up), georeference=run.georeference)
+    data = run.as_trained(whole)
     grid = map_grid(data, resolution, bounds)
     progress.phase("opening the device")
     return write_map(run, data, grid, choose_device(device), output, follow=bounds is None,
-                     progress=progress, **options)
+                     whole=whole, progress=progress, **options)

@@ -71,7 +71,7 @@ def measure(surface: Path, geojson: Path, output: Path, base: str | float, befor
 
 def stored_surface(path: Path) -> Path:
     """The surface in the folder of a map, or a file."""
-    from clsplat.apps.map import SURFACE
+    from clsplat.apps.map_files import SURFACE
     return path / SURFACE if (path / SURFACE).is_file() else path
 
 

@@ -19,7 +19,7 @@ def compare_surveys(before: Path, after: Path, output: Path, overwrite: bool, de
 
     Each is a GeoTIFF of heights, the folder of a map, or a run, whose map is then drawn. AFTER is
     moved onto BEFORE by the ground that did not change. Writes the moved surface and the difference
-    as GeoTIFF, a picture and a record.
+    as GeoTIFF, with styles for QGIS, a picture and a record.
     """
     from clsplat.apps.surveys import FILES, write_comparison
     for name in FILES:

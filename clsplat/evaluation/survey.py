@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +14,11 @@ import scipy
 from numpy.typing import NDArray
 
 from clsplat.georeference import AxisError, Georeference, Residual, axis_errors
+from clsplat.io.georeference.crs import heights_of
+from clsplat.io.photos.metadata import read_metadata
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
+from clsplat.io.scenes.sources import photo_folder
 from clsplat.partition.region import map_axes
 from clsplat.scene import Scene
 from clsplat.sfm.photos import RECORD
@@ -22,6 +28,7 @@ EXTENT = (0.01, 0.99)  # quantiles of the points that the map of overlap contain
 CLOSED = 3  # cells: holes between points up to about twice as wide are covered ground
 MOST_POINTS = 20_000  # of the sparse model, which the maps and the sizes need
 MOST_MEASURED = 300  # photos whose ground sampling distance is measured
+UNKNOWN_HEIGHTS = "unknown: the vertical system of the scene"
 ABOVE = 0.8  # quantile of the heights of points above which the cameras of a flight are
 
 
@@ -81,6 +88,41 @@ class Survey:
         lengths = {each.name: float(np.linalg.norm([each.east, each.north, each.up or 0.0]))
                    for each in self.residuals if each.pixels is None}
         return np.array([lengths.get(name, np.nan) for name in self.names])
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """How the photos of a scene were taken, by their files.
+
+    Attributes
+    ----------
+    cameras : of each camera, with the size of its photos, how many there are.
+    period : when the first and the last one were taken; with a time zone in UTC, else by the clock
+        of the camera, whose zone is unknown; None: no file tells it.
+    """
+
+    cameras: dict[str, int]
+    period: tuple[datetime, datetime] | None
+
+
+def photographs_of(scene: Scene) -> Photographs:
+    """What the files of a scene's photos record."""
+    folder, cameras, times = photo_folder(scene.path), Counter[str](), list[datetime]()
+    # undistorted photos have lost their EXIF, and a wide lens has several views of one photo
+    for path in dict.fromkeys(view.source if not (folder / view.name).is_file() else
+                              folder / view.name for view in scene.views
+                              if isinstance(view.source, Path)):
+        known = read_metadata(path)
+        cameras[f"{known.camera or 'unknown camera'}, {known.width} x {known.height} pixels"] += 1
+        times += [known.taken] if known.taken else []
+    used = [each.astimezone(timezone.utc) for each in times if each.tzinfo] or times
+    return Photographs(dict(cameras), (min(used), max(used)) if used else None)
+
+
+def vertical_reference(place: Georeference | None) -> str:
+    """What heights count from, as far as it is known."""
+    known = place and (place.vertical or heights_of(place.crs).name)
+    return known or UNKNOWN_HEIGHTS
 
 
 def record_of(scene: Scene) -> dict[str, Any]:

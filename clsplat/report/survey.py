@@ -2,12 +2,19 @@
 
 import base64
 from collections.abc import Iterator
+from dataclasses import replace
 from html import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.evaluation.survey import Survey, record_of, spreads, survey_of
+from clsplat.evaluation.survey import (
+    Survey,
+    record_of,
+    spreads,
+    survey_of,
+    vertical_reference,
+)
 from clsplat.georeference import CHECK, CONTROL, LEFT_OUT
 from clsplat.io.photos.images import encode_image
 from clsplat.report.page import Table, folded, headed, warning
@@ -42,7 +49,9 @@ def _section(survey: Survey) -> str:
     unused = Table("", ("photo", "reason"), missing)
     return headed(
         "Survey", *(warning(f"Warning: {text}") for text in warnings(survey)),
-        Table("", ("", ""), list(facts(survey))), survey_maps(survey), _residuals_html(survey),
+        Table("", ("", ""), list(facts(survey))), survey_maps(survey),
+        *(f"<h3>{escape(table.title)}</h3>\n" + replace(table, title="").html()
+          for table in residual_tables(survey)),
         folded("Photos that were not used", unused.html()) if missing else "")
 
 
@@ -62,8 +71,7 @@ def facts(survey: Survey) -> Iterator[tuple[str, str]]:
         yield "georeference", "none, so sizes are not known in metres"
     else:
         yield "georeference", f"{known.crs[:60]}, by the {known.source or 'files of the scene'}"
-        if known.vertical:
-            yield "heights", known.vertical
+        yield "heights", vertical_reference(known)
         share = f"; the flight extends over {length(known.size)}" if known.size else ""
         yield "residual", (f"{length(known.residual)} along the ground, RMS{share}"
                            if known.residual else "not recorded")
@@ -178,26 +186,26 @@ def _ramp(most: str) -> str:
             f"</i>{most}</p>\n")
 
 
-def _residuals_html(survey: Survey) -> str:
+def residual_tables(survey: Survey) -> list[Table]:
     """The residuals by axis, a table for each role, and those of ground control points."""
-    html, note = "", [NOTE]
+    tables = list[Table]()
     for role, meaning in ROLES.items():
         group = [each for each in survey.residuals if each.role == role]
         rows = [(axis, *(_metres(value) for value in (of.mean, of.sigma, of.rms, of.within_90)))
                 for axis, of in spreads(group).items()]
         if rows:
             kind = "GPS of photos" if group[0].pixels is None else "ground control points"
-            html += f"<h3>Residuals: {kind}, {meaning} ({len(group)})</h3>\n" + Table(
-                "", ("", "mean, m", "sigma, m", "RMS, m", "90 % within, m"), rows, range(1, 5),
-                note).html()
-            note = []
+            tables.append(Table(
+                f"Residuals: {kind}, {meaning} ({len(group)})",
+                ("", "mean, m", "sigma, m", "RMS, m", "90 % within, m"), rows, range(1, 5),
+                () if tables else (NOTE,)))
     points = [each for each in survey.residuals if each.pixels is not None]
     if points:
-        html += "<h3>Ground control points</h3>\n" + Table(
-            "", ("name", "role", "east, m", "north, m", "up, m", "pixels"),
+        tables.append(Table(
+            "Ground control points", ("name", "role", "east, m", "north, m", "up, m", "pixels"),
             [(each.name, each.role, *map(_metres, (each.east, each.north, each.up)),
-              f"{each.pixels:.1f}") for each in points], range(2, 6)).html()
-    return html
+              f"{each.pixels:.1f}") for each in points], range(2, 6)))
+    return tables
 
 
 def _metres(value: float | None) -> str:

@@ -19,13 +19,15 @@ from clsplat.options import TrainOptions
 from tests.command_line import clsplat_
 from tests.data import ground_model as made
 
-FILES = {"orthophoto.tif", "surface.tif", "contours.geojson", "preview.png", "map.json"}
+FILES = {"orthophoto.tif", "surface.tif", "surface.qml", "hillshade.tif", "hillshade.qml",
+         "contours.geojson", "preview.png", "survey.pdf", "map.json"}
 
 
 def run_of(path, scene):
     """What a map needs of a run."""
     return SimpleNamespace(path=path, finished_model=made.model(), options=TrainOptions(),
-                           scene=lambda _=None: scene, georeference=scene.georeference,
+                           scene=lambda _=None, whole=False: scene,
+                           as_trained=lambda whole: whole, georeference=scene.georeference,
                            up=scene.up)
 
 
@@ -85,7 +87,7 @@ def test_tags_place_it_on_the_earth(house):
             tags = file.tags()
             assert json.loads(tags["GEOREFERENCE"])["residual"] == made.UTM.residual
             assert float(tags["GROUND_SAMPLING_DISTANCE"]) == ground_resolution(made.scene())
-            assert tags["VERTICAL_REFERENCE"] == "unknown"
+            assert tags["VERTICAL_REFERENCE"] == "unknown: the vertical system of the scene"
 
 
 def test_contour_lines_surround_the_house_in_degrees(house):

@@ -34,7 +34,7 @@ CODELESS = {
 def test_a_crs_without_a_code_is_read_back_equal(tmp_path, text):
     crs = scene_crs(text)
     grid = MapGrid(np.eye(3), np.zeros(3), 5e5, 5.7e6, 1.0, 8, 4, 9.0)
-    raster = Raster(tmp_path / "raw", grid, crs, {"height": "metre", "spread": "metre"}, False)
+    raster = Raster(tmp_path / "raw", grid, crs, {"height": "metre", "spread": "metre"}, np.nan)
     raster.write((0, 0), np.ones((TILE, TILE, 2)))
     raster.finish({})
     raster.save(tmp_path / "a.tif")

@@ -97,7 +97,7 @@ def test_the_raster_has_the_surface_where_that_is_ground(tmp_path):
     heights = 50 + 0.1 * x
     heights[470:560, 470:560] += 6
     heights[:30, :30] = np.nan
-    surface, terrain = (Raster(tmp_path / name, grid, None, dict.fromkeys(("height", name)), False)
+    surface, terrain = (Raster(tmp_path / name, grid, None, dict.fromkeys(("height", name)), np.nan)
                         for name in ("spread", "ground"))
     surface.write((0, 0), np.stack([heights, heights], axis=-1))
     surface.finish({})

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-from clsplat.apps.map import SURFACE, TERRAIN
+from clsplat.apps.map_files import SURFACE, TERRAIN
 from tools.synth.city import KINDS, UNIT_METRES, from_above, read_city
 
 

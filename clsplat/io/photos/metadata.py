@@ -7,7 +7,9 @@ finite number or cannot be true is None.
 import math
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ XMP_BYTES = 1 << 18  # from the beginning of a file, among which XMP is
 GPS_STD = ([f"{DJI}RtkStd{axis}" for axis in ("Lon", "Lat", "Hgt")],
            [f"Camera:GPS{axis}Accuracy" for axis in ("XY", "XY", "Z")])
 RTK_FLOAT = 34  # DJI's code, from which on RTK works
+DATE = "%Y:%m:%d %H:%M:%S"  # of EXIF
 QUARTERS = {3: 2, 6: 1, 8: 3}  # EXIF orientation -> clockwise quarter turns
 Calibration = tuple[float, ...]  # fx, fy, cx, cy, pixels, and k1, k2, p1, p2, as COLMAP's OPENCV
 
@@ -57,6 +60,9 @@ class PhotoMetadata:
     gimbal_pitch: float | None = None
     gimbal_roll: float | None = None
     is_deep: bool = False  # whether it is grey, with samples of 16 bits
+    # when it was taken: in UTC by the receiver of GPS, else by the clock of the camera, whose time
+    # zone is None unless the file has it
+    taken: datetime | None = None
 
     @property
     def quarter_turns(self) -> int:
@@ -77,7 +83,7 @@ def read_metadata(path: str | Path) -> PhotoMetadata:
             _focal_pixels(photo), _calibration(photo), latitude, longitude, _altitude(photo),
             _number(photo, "GPS:AltitudeRef", 3) in (2, 3), _text(photo, "GPS:Status") == "V",
             _gps_std(photo), _number(photo, f"{DJI}GimbalPitchDegree", 360),
-            _number(photo, f"{DJI}GimbalRollDegree", 360), photo.is_deep)
+            _number(photo, f"{DJI}GimbalRollDegree", 360), photo.is_deep, _taken(photo))
 
 
 def _numbers(photo: Photo, name: str) -> list[float]:
@@ -145,6 +151,18 @@ def _degrees(photo: Photo, name: str, negative: str, limit: float) -> float | No
     value = sum(part * unit for part, unit in zip(parts, UNIT_DEGREES))
     sign = -1 if _text(photo, f"GPS:{name}Ref")[:1].upper() == negative else 1
     return sign * value if value <= limit else None
+
+
+def _taken(photo: Photo) -> datetime | None:
+    text, zone = _text(photo, "GPS:DateStamp"), "+00:00"
+    if text and len(clock := _numbers(photo, "GPS:TimeStamp")) == 3:
+        text += " {:02.0f}:{:02.0f}:{:02.0f}".format(*map(math.floor, clock))
+    else:
+        text, zone = _text(photo, "Exif:DateTimeOriginal"), _text(photo, "Exif:OffsetTimeOriginal")
+    for zoned, form in ((text + zone, f"{DATE}%z"), (text, DATE)):
+        with suppress(ValueError):
+            return datetime.strptime(zoned, form)
+    return None
 
 
 def _altitude(photo: Photo) -> float | None:

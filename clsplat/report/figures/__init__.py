@@ -7,7 +7,10 @@ charts of a report are drawn by the page, see `report.charts`.
 from contextlib import AbstractContextManager
 from typing import Any
 
+import matplotlib
 import matplotlib.style
+import numpy as np
+from matplotlib.colors import Colormap, to_hex
 
 LABEL_COLOUR = "#5c6166"
 SETTINGS: dict[str, Any] = {  # of matplotlib
@@ -18,6 +21,12 @@ SETTINGS: dict[str, Any] = {  # of matplotlib
     "axes.linewidth": 0.8, "lines.linewidth": 1.6, "legend.frameon": False,
     "text.parse_math": False,  # names of scenes may have dollar signs
 }
+
+
+def hex_colours(colours: Colormap | str, count: int) -> list[str]:
+    """Colours of a colour map at even steps from its begin to its end, as #rrggbb."""
+    return [to_hex(colour)
+            for colour in matplotlib.colormaps.get_cmap(colours)(np.linspace(0, 1, count))]
 
 
 def own_settings() -> AbstractContextManager[None]:

@@ -16,6 +16,12 @@ STRONGEST = 0.98  # quantile of the changes that has the full colour
 MOST_SIDE = 1400  # pixels of the picture
 
 
+def strongest(change: NDArray[np.floating], level: float) -> float:
+    """The change of height that has the full colour; arguments are those of `write_difference`."""
+    changes = np.abs(change[np.isfinite(change)])
+    return max(float(np.quantile(changes, STRONGEST)) if len(changes) else level, 1e-9)
+
+
 def write_difference(file: BinaryIO, heights: NDArray[np.floating], change: NDArray[np.floating],
                      pixel: float, level: float, unit: str) -> None:
     """Write a PNG of changes over the shaded surface, with a scale, to a binary file.
@@ -36,9 +42,8 @@ def write_difference(file: BinaryIO, heights: NDArray[np.floating], change: NDAr
     if min(heights.shape) > 1:
         shade = 0.45 + 0.5 * LightSource(*SUN).hillshade(np.where(known, heights, low), dx=size,
                                                          dy=size)
-    changes = np.abs(change[np.isfinite(change)])
-    most = float(np.quantile(changes, STRONGEST)) if len(changes) else level
-    norm = Normalize(-max(most, 1e-9), max(most, 1e-9))
+    most = strongest(change, level)
+    norm = Normalize(-most, most)
     rows, columns = heights.shape
     extent = (0.0, columns * size, 0.0, rows * size)
     with own_settings():

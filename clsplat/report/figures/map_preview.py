@@ -16,6 +16,20 @@ DPI = 200  # at which letters can be read in so large a picture
 SUN = 315, 45  # degrees, azimuth and elevation: from the north-west, as maps are shaded
 # colours of the lowest, of the middle and of the highest ground
 TINTS = LinearSegmentedColormap.from_list("heights", ["#5c8c6b", "#ded19e", "#ede8e6"])
+USUAL = (0.02, 0.98)  # quantiles of the heights, which have the whole range of colours
+
+
+def shaded(heights: NDArray[np.floating], size: float) -> tuple[NDArray[np.floating], float, float]:
+    """Heights [H, W] in map units, nan unknown, in colours and shaded: [H, W, 3], white where they
+    are unknown; and the heights of the lowest and the highest colour. `size` is that of a pixel."""
+    known = np.isfinite(heights)
+    low, high = np.nanquantile(heights, USUAL).tolist()
+    high = max(high, low + 1e-9)
+    pixels: Any = TINTS(Normalize(low, high)(np.where(known, heights, low)))[..., :3]
+    if min(heights.shape) > 1:
+        pixels = LightSource(*SUN).shade_rgb(pixels, np.where(known, heights, low), dx=size,
+                                             dy=size, blend_mode="soft")
+    return np.where(known[..., None], pixels, 1.0), low, high
 
 
 def write_preview(file: BinaryIO, colours: NDArray[np.uint8], heights: NDArray[np.floating],
@@ -32,14 +46,7 @@ def write_preview(file: BinaryIO, colours: NDArray[np.uint8], heights: NDArray[n
     interval : between contour lines, map units; 0: none.
     unit : of the map.
     """
-    known = np.isfinite(heights)
-    low, high = np.nanquantile(heights, (0.02, 0.98))
-    norm = Normalize(low, max(high, low + 1e-9))
-    shaded: Any = TINTS(norm(np.where(known, heights, low)))[..., :3]
-    if min(heights.shape) > 1:
-        shaded = LightSource(*SUN).shade_rgb(shaded, np.where(known, heights, low), dx=size,
-                                             dy=size, blend_mode="soft")
-    shaded = np.where(known[..., None], shaded, 1.0)
+    surface_pixels, low, high = shaded(heights, size)
     rows, columns = heights.shape
     extent = (0.0, columns * size, 0.0, rows * size)
     with own_settings():
@@ -48,10 +55,10 @@ def write_preview(file: BinaryIO, colours: NDArray[np.uint8], heights: NDArray[n
         photo, surface = figure.subplots(1, 2, sharey=True)
         photo.imshow(colours, extent=extent)
         photo.set(xlabel=unit, ylabel=unit)
-        surface.imshow(shaded, extent=extent)
+        surface.imshow(surface_pixels, extent=extent)
         surface.set(xlabel=unit)
         drawn = f"; a line each {interval:g}" if interval else ""
-        figure.colorbar(ScalarMappable(norm, TINTS), ax=surface, shrink=0.6,
+        figure.colorbar(ScalarMappable(Normalize(low, high), TINTS), ax=surface, shrink=0.6,
                         label=f"height, {unit}{drawn}")
         surface.add_collection(LineCollection(
             [(0.0, extent[3]) + line * (size, -size) for line in lines], colors="black",

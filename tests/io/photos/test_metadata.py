@@ -1,5 +1,7 @@
 """Metadata of photos: EXIF and DJI's XMP, whole, missing, and wrong."""
 
+from datetime import datetime, timedelta, timezone
+
 import numpy as np
 import OpenImageIO as oiio
 import pytest
@@ -51,6 +53,25 @@ def test_position_has_signs(tmp_path):
     below = {**GPS, "GPS:AltitudeRef": 1, "GPS:LatitudeRef": "N", "GPS:LongitudeRef": "E"}
     data = read_metadata(photo(tmp_path / "b.jpg", below))
     assert data.altitude < 0 < min(data.latitude, data.longitude)
+
+
+CLOCK = {"Exif:DateTimeOriginal": "2024:06:01 23:59:58"}
+UTC = {"GPS:DateStamp": "2024:06:02", "GPS:TimeStamp": (3.0, 59.0, 58.7)}
+ZONE = timezone(timedelta(hours=-4))
+
+
+@pytest.mark.parametrize("exif, expected", [
+    ({}, None), (CLOCK, datetime(2024, 6, 1, 23, 59, 58)),
+    ({**CLOCK, "Exif:OffsetTimeOriginal": "-04:00"}, datetime(2024, 6, 1, 23, 59, 58, tzinfo=ZONE)),
+    ({**CLOCK, "Exif:OffsetTimeOriginal": "soon"}, datetime(2024, 6, 1, 23, 59, 58)),
+    ({**CLOCK, **UTC}, datetime(2024, 6, 2, 3, 59, 58, tzinfo=timezone.utc)),
+    ({**CLOCK, "GPS:DateStamp": "2024:06:02"}, datetime(2024, 6, 1, 23, 59, 58)),
+    ({"Exif:DateTimeOriginal": "0000:00:00 00:00:00"}, None),
+    ({**UTC, "GPS:TimeStamp": (1e30, 0.0, 0.0)}, None),
+])
+def test_when_it_was_taken(tmp_path, exif, expected):
+    found = read_metadata(photo(tmp_path / "a.jpg", exif)).taken
+    assert found == expected and (found is None or found.tzinfo == expected.tzinfo)
 
 
 @pytest.mark.parametrize("wrong", [
