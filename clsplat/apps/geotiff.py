@@ -31,6 +31,7 @@ CACHE_MIB = 64  # of GDAL, which takes 5 % of the memory otherwise
 GDAL_ERRORS = RasterioError, CRSError, CPLE_BaseError
 Place = tuple[int, int]  # of a tile: column, row
 NORTH_UP = 1e-6  # of a pixel: how much less square or more turned it may be
+VERTICAL = "VERTICAL_REFERENCE"  # a tag
 MOST_SIDE = 3000  # pixels of a surface in memory
 FINER = 4  # places along a side of a pixel that are inside a polygon or outside
 
@@ -128,12 +129,14 @@ class Surface:
     grid : where the pixels lie.
     heights : float64[rows, columns], map units; nan: unknown.
     crs : as `normal_crs` returns it; None: the coordinates are local.
+    vertical : what heights count from, by the file's tag VERTICAL; "": it has none.
     """
 
     path: Path
     grid: MapGrid
     heights: NDArray[np.float64]
     crs: str | None
+    vertical: str = ""
 
     @property
     def unit(self) -> str:
@@ -172,6 +175,7 @@ def read_surface(path: Path, bounds: Bounds | None = None, most: int = MOST_SIDE
         # a signalling NaN is one as well
         with bounded_memory(), np.errstate(invalid="ignore"), rasterio.open(path) as file:
             crs, size = _checked(path, file), file.transform.a
+            vertical = file.tags().get(VERTICAL, "")
             whole = MapGrid(np.eye(3), np.zeros(3), file.transform.c, file.transform.f, size,
                             file.width, file.height, math.inf)
             sides = np.array([[0, 0], [file.width, file.height]], np.float64)
@@ -195,7 +199,7 @@ def read_surface(path: Path, bounds: Bounds | None = None, most: int = MOST_SIDE
     heights[~np.isfinite(heights)] = np.nan
     if bounds is None and np.isnan(heights).all():
         raise InputError(f"{path}: has no heights; make the map anew, of places that photos show")
-    return Surface(path, grid, heights, crs)
+    return Surface(path, grid, heights, crs, vertical)
 
 
 def coverage(grid: MapGrid, parts: Sequence[Sequence[NDArray[np.float64]]]

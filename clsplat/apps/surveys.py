@@ -13,7 +13,7 @@ import scipy
 from numpy.typing import NDArray
 
 from clsplat.apps.differences import DETECTION, check_same_system, heights_at, middles, nmad
-from clsplat.apps.geotiff import Raster, Surface, bounded_memory, read_surface
+from clsplat.apps.geotiff import VERTICAL, Raster, Surface, bounded_memory, read_surface
 from clsplat.apps.qgis import STOPS, write_heights_style, write_ramp
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
@@ -192,5 +192,5 @@ def _write(path: Path, like: Surface, bands: dict[str, str | None], *heights: He
     with bounded_memory(), TemporaryDirectory(dir=path.parent) as scratch:
         raster = Raster(Path(scratch) / "raw", like.grid, like.crs, bands, np.nan)
         raster.write((0, 0), np.stack(heights, axis=-1))
-        raster.finish({"TIFFTAG_SOFTWARE": "clsplat"})
+        raster.finish({"TIFFTAG_SOFTWARE": "clsplat", VERTICAL: like.vertical})
         raster.save(path)

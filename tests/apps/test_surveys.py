@@ -12,6 +12,7 @@ from clsplat.apps.measure import measure
 from clsplat.apps.surveys import align, write_comparison
 from clsplat.errors import InputError
 from clsplat.io.georeference.geojson import read_features
+from tests.apps.test_map_files import stops
 from tests.apps.test_measure import NOISE, noisy, refused
 from tests.command_line import clsplat_
 from tests.data.surfaces import (
@@ -92,7 +93,8 @@ def test_the_noise_is_that_of_stable_ground(surveys):
 def test_the_files(surveys):
     before, _, folder, record = surveys
     assert {path.name for path in (folder / "c").iterdir()} == {
-        "aligned.tif", "difference.tif", "difference.png", "comparison.json"}
+        "aligned.tif", "difference.tif", "difference.png", "comparison.json", "aligned.qml",
+        "difference.qml"}
     assert json.loads((folder / "c" / "comparison.json").read_text()) == record
     with rasterio.open(folder / "c" / "difference.tif") as file, rasterio.open(before) as first, (
             rasterio.open(folder / "c" / "aligned.tif")) as aligned:
@@ -107,6 +109,19 @@ def test_the_files(surveys):
     assert difference[gone].max() < -4
     still = np.hypot(x + 15, y + 10) < 3
     assert np.abs(difference[still]).mean() < 2 * NOISE
+
+
+def test_the_styles_have_the_range_of_the_heights_and_of_the_changes(surveys):
+    folder = surveys[2] / "c"
+    values, colours, labels = stops(folder / "difference.qml")
+    values = np.array(values, float)
+    assert np.allclose(values, -values[::-1]) and values[2] == 0 and labels[2] == "0.00 m"
+    assert 0.8 * GONE[3] < values[-1] < 1.2 * GONE[3], "of the house, the strongest change"
+    red, white, blue = (np.array(bytearray.fromhex(colours[place][1:])) for place in (0, 2, -1))
+    assert red[0] > red[2] + 50 and blue[2] > blue[0] + 50 and white.min() > 230
+    with rasterio.open(folder / "aligned.tif") as file:
+        ends = np.nanquantile(file.read(1), (0.02, 0.98))
+    assert np.allclose(np.array(stops(folder / "aligned.qml")[0], float)[[0, -1]], ends, atol=1e-3)
 
 
 def test_the_picture_has_what_grew_in_blue_and_what_went_in_red(surveys):
@@ -159,9 +174,13 @@ def test_surveys_of_other_pixels_and_with_gaps(tmp_path):
     before = noisy(site((*HOUSES, GONE), False))
     before[200:300, :80] = np.nan
     first = write_surface(tmp_path / "a.tif", before)
+    with rasterio.open(first, "r+") as file:
+        file.update_tags(VERTICAL_REFERENCE="EGM96 height")
     after = noisy(site(HOUSES, True, SHIFT), 2).reshape(SIDE // 2, 2, SIDE // 2, 2).mean((1, 3))
     record = write_comparison(first, write_surface(tmp_path / "b.tif", after, pixel=2 * PIXEL),
                               tmp_path / "c")
+    with rasterio.open(tmp_path / "c" / "aligned.tif") as file:
+        assert file.tags()["VERTICAL_REFERENCE"] == "EGM96 height"
     found = np.array([record["shift"][axis] for axis in ("east", "north", "up")])
     assert np.abs(found - SHIFT).max() < 0.2 * PIXEL, found
     assert abs(record["fill"] / true_volumes()[0] - 1) < 0.02

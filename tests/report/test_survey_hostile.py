@@ -88,8 +88,8 @@ ROWS = [residual("0.jpg"), residual("1.jpg", "left out", east=300), residual("<G
 # name -> (scene, words that the section has, words that it lacks); None: there is no section
 SCENES = {
     "neither": (lambda: replace(flight(), georeference=None), None, ()),
-    "older georeference": (flight, ("50 cm along the ground",),
-                           ("Warning", "Residuals:", "heights", "extends over")),
+    "older georeference": (flight, ("50 cm along the ground", "unknown: the vertical system"),
+                           ("Warning", "Residuals:", "extends over")),
     "residuals": (lambda: measured(flight(), ROWS), (
         "Residuals: GPS of photos, which decided the place (1)",
         "Residuals: ground control points, which took no part (1)",
