@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from clsplat.apps.geotiff import Raster, bounded_memory
 from clsplat.apps.hillshade import NODATA, TAGS, write_hillshade
 from clsplat.apps.map_files import (
+    ASSETS,
     CONTOURS,
     FILES,
     ITEM,
@@ -27,12 +28,12 @@ from clsplat.apps.map_files import (
     SHADING,
     SURFACE,
     TERRAIN,
-    write_item,
     write_styles,
 )
 from clsplat.apps.map_grid import MapGrid, ground_resolution
 from clsplat.apps.map_report import write_report
 from clsplat.apps.orthophoto import Extent, MapPainter, extent_of
+from clsplat.apps.stac import stac_item
 from clsplat.apps.terrain import check_width, write_terrain
 from clsplat.device import Device
 from clsplat.errors import InputError
@@ -49,6 +50,7 @@ from clsplat.io.folders import make_folder
 from clsplat.io.georeference.crs import WGS84, on_ground
 from clsplat.io.records import write_object
 from clsplat.report.figures.map_preview import USUAL, write_preview
+from clsplat.report.page import as_utf8
 from clsplat.scene import Scene
 from clsplat.training.progress import SilentProgress
 
@@ -178,10 +180,12 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
             "axes": grid.axes.tolist(), "origin": grid.origin.tolist(),
             "files": [*files, REPORT, *[ITEM] * bool(crs and photos.period)]}
         progress.phase("writing the report")
-        name = run.path.resolve().name
+        name = as_utf8(run.path.resolve().name)
         write_report(folder / REPORT, name, survey_of(whole), photos, rasters, small, record)
-        if ITEM in record["files"]:
-            write_item(folder, name, grid, photos, rasters, record)
+        if crs and photos.period:
+            write_object(folder / ITEM, stac_item(
+                name, grid, photos.period, ASSETS,
+                {file: raster.bands for file, raster in rasters.items()}, record), indent=2)
     for name in set(FILES) - {*record["files"], RECORD}:
         (folder / name).unlink(missing_ok=True)
     write_object(folder / RECORD, record, indent=2)

@@ -1,16 +1,11 @@
-"""The files of a map, and those of them that other programs read beside its rasters: styles of QGIS
-and the item of a catalogue."""
+"""The files of a map, and what they are for; and the styles of its rasters."""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from clsplat.apps.geotiff import Raster
-from clsplat.apps.map_grid import MapGrid
 from clsplat.apps.qgis import SUFFIX, write_greys, write_heights_style
-from clsplat.apps.stac import COG, GEOJSON, PDF, PNG, XML, Asset, stac_item
-from clsplat.evaluation.survey import Photographs
-from clsplat.io.records import write_object
+from clsplat.apps.stac import COG, GEOJSON, PDF, PNG, XML, Asset
 
 ORTHOPHOTO, SURFACE, TERRAIN = "orthophoto.tif", "surface.tif", "terrain.tif"
 SHADING = {SURFACE: "hillshade.tif", TERRAIN: "terrain_hillshade.tif"}
@@ -38,22 +33,3 @@ def write_styles(folder: Path, rasters: Mapping[str, Raster], level: int, unit: 
             write_heights_style(folder / name, rasters[name].whole(level)[..., 0], unit)
             write_greys(folder / shading, 1, 255)
     return [STYLES[name] for name in rasters if name in STYLES]
-
-
-def write_item(folder: Path, name: str, grid: MapGrid, photos: Photographs,
-               rasters: Mapping[str, Raster], record: dict[str, Any]) -> None:
-    """Write the STAC item of a map.
-
-    Parameters
-    ----------
-    name : the identifier.
-    photos : whose period is known.
-    record : of the map, which has a CRS and the names of its files.
-    """
-    assert photos.period is not None
-    write_object(folder / ITEM, stac_item(
-        name, grid, record["crs"], photos.period,
-        {file: ASSETS[file] for file in ASSETS if file in record["files"]},
-        {file: raster.bands for file, raster in rasters.items()},
-        {"title": f"Map of {name}", "gsd": record["ground_sampling_distance"],
-         "clsplat:vertical_reference": record["vertical_reference"]}), indent=2)

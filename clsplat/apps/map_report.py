@@ -41,13 +41,18 @@ def write_report(path: Path, name: str, survey: Survey, photos: Photographs,
     record : of the map.
     """
     unit = "m" if record["crs"] else "scene units"
+    try:
+        said, known = warnings(survey), list(facts(survey))
+    except (TypeError, ValueError) as error:  # of a damaged sfm.json, which costs no map
+        said, known = (f"the facts of the survey cannot be shown ({error})",), []
     checked = any(each.role == CHECK for each in survey.residuals)
-    tables = (Table("Survey", ("", ""), [*_photo_facts(photos), *facts(survey)]),
+    tables = (Table("Warnings", ("",), [(text,) for text in said]),
+              Table("Survey", ("", ""), [*_photo_facts(photos), *known]),
               Table("Map", ("", ""), list(_map_facts(record, unit))),
               Table("Accuracy", ("", ""), [] if checked or not record["crs"] else
                     [("check points", UNCHECKED)]), *residual_tables(survey))
     with replacing(path) as file:
-        write_pages(file, f"Survey of {name}", f"clsplat {__version__}", warnings(survey), tables,
+        write_pages(file, f"Survey of {name}", f"clsplat {__version__}", tables,
                     _sheets(survey, rasters, level, unit))
 
 
@@ -95,5 +100,5 @@ def _sheets(survey: Survey, rasters: Mapping[str, Raster], level: int, unit: str
             heights: NDArray[np.floating] = rasters[file].whole(level)[..., 0]
             pixels, low, high = shaded(heights, grid.resolution * 2**level)
             reference = vertical_reference(survey.georeference)
-            yield Sheet(title, f"{note} Heights: {reference}.", pixels, grid.bounds, unit, north,
-                        (low, high, TINTS, f"height, {unit}"))
+            yield Sheet(title, f"{note} Heights: {reference}.", (255 * pixels).astype(np.uint8),
+                        grid.bounds, unit, north, (low, high, TINTS, f"height, {unit}"))

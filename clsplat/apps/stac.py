@@ -1,5 +1,6 @@
 """A map as an item of a SpatioTemporal Asset Catalog (STAC 1.1), by which catalogues find it."""
 
+from collections.abc import Mapping
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -18,22 +19,22 @@ BEFORE, AFTER = timedelta(hours=14), timedelta(hours=12)
 Asset = tuple[str, str, str]
 
 
-def stac_item(name: str, grid: MapGrid, crs: str, period: tuple[datetime, datetime],
-              assets: dict[str, Asset], bands: dict[str, list[dict[str, Any]]],
-              stated: dict[str, Any]) -> dict[str, Any]:
+def stac_item(name: str, grid: MapGrid, period: tuple[datetime, datetime],
+              assets: Mapping[str, Asset], bands: Mapping[str, list[dict[str, Any]]],
+              record: Mapping[str, Any]) -> dict[str, Any]:
     """The item of a map, with relative references.
 
     Parameters
     ----------
     name : the identifier of the map.
     grid : of its rasters.
-    crs : as `normal_crs` returns it.
     period : when the first and the last photo were taken; without a time zone the item has an
         interval in which that surely was.
-    assets : of the map's folder, by the names of the files.
-    bands : of the rasters among them, as STAC has them.
-    stated : properties more.
+    assets : by the names of files that a map may have.
+    bands : of its rasters, as STAC has them.
+    record : of the map, which has a CRS.
     """
+    crs: str = record["crs"]
     left, bottom, right, top = grid.bounds
     corners = [(left, bottom), (right, bottom), (right, top), (left, top), (left, bottom)]
     ring = np.round(on_ground(crs, WGS84, [(*corner, 0) for corner in corners])[:, :2],
@@ -52,11 +53,13 @@ def stac_item(name: str, grid: MapGrid, crs: str, period: tuple[datetime, dateti
             "datetime": start if known else None, "start_datetime": start, "end_datetime": end,
             **({"proj:code": None, "proj:wkt2": crs} if "[" in crs else {"proj:code": crs}),
             "proj:bbox": list(grid.bounds), "proj:shape": [grid.rows, grid.columns],
-            "proj:transform": [size, 0, left, 0, -size, top], **stated},
+            "proj:transform": [size, 0, left, 0, -size, top], "title": f"Map of {name}",
+            "gsd": record["ground_sampling_distance"],
+            "clsplat:vertical_reference": record["vertical_reference"]},
         "links": [],
         "assets": {
             file.replace(".", "_"): {
                 "href": f"./{file}", "type": kind, "roles": [role], "title": title,
                 **({"bands": bands[file]} if file in bands else
                    {"proj:code": WGS84 if kind == GEOJSON else None})}
-            for file, (kind, role, title) in assets.items()}}
+            for file, (kind, role, title) in assets.items() if file in record["files"]}}

@@ -14,6 +14,7 @@ import rasterio
 from clsplat.apps import map as map_module
 from clsplat.apps.geotiff import Raster
 from clsplat.apps.hillshade import NODATA, hillshade, write_hillshade
+from clsplat.apps.map_files import ASSETS
 from clsplat.apps.map_grid import TILE, MapGrid
 from clsplat.apps.qgis import write_heights_style
 from clsplat.apps.stac import stac_item
@@ -78,11 +79,10 @@ ZONED = tuple(each.replace(tzinfo=timezone.utc) for each in PERIOD)
 
 
 def item_of(period=ZONED, crs="EPSG:32633"):
-    return stac_item("site", GRID, crs, period, {
-        "surface.tif": ("image/tiff", "data", "Surface"),
-        "contours.geojson": ("application/geo+json", "data", "Lines")},
-        {"surface.tif": [{"name": "height", "data_type": "float32", "nodata": "nan", "unit": "m"}]},
-        {"gsd": 0.02})
+    return stac_item("site", GRID, period, ASSETS, {
+        "surface.tif": [{"name": "height", "data_type": "float32", "nodata": "nan", "unit": "m"}]
+        }, {"crs": crs, "files": ["surface.tif", "contours.geojson"],
+            "vertical_reference": "unknown", "ground_sampling_distance": 0.02})
 
 
 @pytest.mark.parametrize("options", [{}, {"period": PERIOD}, {"crs": 'PROJCRS["a", ...]'}])

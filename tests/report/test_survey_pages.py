@@ -26,8 +26,9 @@ SHEETS = [Sheet("Surface", "Heights above the ellipsoid. " * 5, np.full((40, 80,
 
 def content():
     survey = survey_of(measured(flight(), POINTS, ["the receiver had no fix " * 9], 250.0, "EGM96"))
-    return (["Survey of $a$ field", "clsplat", warnings(survey),
-             [Table("Survey", ("", ""), list(facts(survey))), Table("none", ("", ""), []),
+    return (["Survey of $a$ field", "clsplat",
+             [Table("Warnings", ("",), [(text,) for text in warnings(survey)]),
+              Table("Survey", ("", ""), list(facts(survey))), Table("none", ("", ""), []),
               *residual_tables(survey)], SHEETS])
 
 
@@ -47,7 +48,7 @@ def words(figure):
 def test_what_the_pages_say(pages):
     first, *_, surface, coverage = pages
     said = " ".join(words(first))
-    for text in ("Survey of $a$ field", "Warning: the receiver", "EGM96", "10 cm a pixel",
+    for text in ("Survey of $a$ field", "Warnings the receiver", "EGM96", "10 cm a pixel",
                  "12 photos", "extends over 250 m"):
         assert text in " ".join(said.split())
     table = sum((words(page) for page in pages[:-2]), [])
@@ -89,7 +90,7 @@ def test_the_same_survey_gives_the_same_bytes():
     files = []
     for title in ("Survey", "Survey", "Other"):
         file = io.BytesIO()
-        write_pages(file, title, *content()[1:3], [], SHEETS[:1])
+        write_pages(file, title, "clsplat", [], SHEETS[:1])
         files.append(file.getvalue())
     assert files[0] == files[1] != files[2] and files[0].startswith(b"%PDF")
 

@@ -26,7 +26,7 @@ XMP_BYTES = 1 << 18  # from the beginning of a file, among which XMP is
 GPS_STD = ([f"{DJI}RtkStd{axis}" for axis in ("Lon", "Lat", "Hgt")],
            [f"Camera:GPS{axis}Accuracy" for axis in ("XY", "XY", "Z")])
 RTK_FLOAT = 34  # DJI's code, from which on RTK works
-DATE = "%Y:%m:%d %H:%M:%S"  # of EXIF
+DATE, YEARS = "%Y:%m:%d %H:%M:%S", range(1980, 2100)  # of EXIF
 QUARTERS = {3: 2, 6: 1, 8: 3}  # EXIF orientation -> clockwise quarter turns
 Calibration = tuple[float, ...]  # fx, fy, cx, cy, pixels, and k1, k2, p1, p2, as COLMAP's OPENCV
 
@@ -161,7 +161,8 @@ def _taken(photo: Photo) -> datetime | None:
         text, zone = _text(photo, "Exif:DateTimeOriginal"), _text(photo, "Exif:OffsetTimeOriginal")
     for zoned, form in ((text + zone, f"{DATE}%z"), (text, DATE)):
         with suppress(ValueError):
-            return datetime.strptime(zoned, form)
+            if (found := datetime.strptime(zoned, form)).year in YEARS:
+                return found
     return None
 
 

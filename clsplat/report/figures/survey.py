@@ -4,6 +4,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,13 +17,12 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from numpy.typing import NDArray
 
 from clsplat.report.figures import LABEL_COLOUR, own_settings
-from clsplat.report.page import Table
+from clsplat.report.page import Table, as_utf8
 
 SIZE = 8.27, 11.69  # inches
 LEFT, RIGHT, TOP, BOTTOM = 0.1, 0.92, 0.93, 0.08  # of the page
 CHARACTER, LINE = 0.0079, 0.0165  # of the page: a character's mean width, and from line to line
 CHARACTERS = int((RIGHT - LEFT) / CHARACTER)
-WARNING = "#b3261e"
 BAR = 0.25  # of the width of a map, at most: a round length of its scale bar
 EDGE = 0.03  # of a map, around its dots
 DPI = 200
@@ -54,38 +54,35 @@ class Sheet:
     dots: NDArray[np.float64] | None = None
 
 
-def write_pages(file: BinaryIO, title: str, creator: str, warnings: Iterable[str],
-                tables: Iterable[Table], sheets: Iterable[Sheet]) -> None:
+def write_pages(file: BinaryIO, title: str, creator: str, tables: Iterable[Table],
+                sheets: Iterable[Sheet]) -> None:
     """Write a PDF to a binary file: tables, then maps. The same content gives the same bytes.
 
     Parameters
     ----------
     title : of the first page and of the document.
     creator : the program and its version.
-    warnings : sentences below the title.
     tables, sheets : the content; empty tables are left out.
     """
-    with own_settings(), PdfPages(file, metadata={
-            "Title": title, "Creator": creator, "CreationDate": None}) as pdf:
-        for figure in drawn_pages(title, creator, warnings, tables, sheets):
+    with catch_warnings(), own_settings(), PdfPages(file, metadata={
+            "Title": as_utf8(title), "Creator": creator, "CreationDate": None}) as pdf:
+        simplefilter("ignore", UserWarning)  # of letters that the font has not, as in names
+        for figure in drawn_pages(title, creator, tables, sheets):
             pdf.savefig(figure, dpi=DPI)
 
 
-def drawn_pages(title: str, creator: str, warnings: Iterable[str], tables: Iterable[Table],
-                sheets: Iterable[Sheet]) -> list[Figure]:
+def drawn_pages(title: str, creator: str, tables: Iterable[Table], sheets: Iterable[Sheet]
+                ) -> list[Figure]:
     """The pages of `write_pages`, whose arguments it has."""
     pages = _Pages()
     pages.write([(LEFT, title)], size=18, weight="bold")
-    for text in warnings:
-        pages.write([], 0.5)
-        for line in textwrap.wrap(f"Warning: {text}", CHARACTERS):
-            pages.write([(LEFT, line)], color=WARNING)
     for table in tables:
         pages.table(table)
     for sheet in sheets:
         _draw(pages.new(), sheet)
     for number, figure in enumerate(pages.figures, 1):
-        figure.text(LEFT, BOTTOM / 2, textwrap.shorten(f"{title} · {creator}", CHARACTERS),
+        figure.text(LEFT, BOTTOM / 2, as_utf8(textwrap.shorten(f"{title} · {creator}",
+                                                               CHARACTERS)),
                     fontsize=7, color=LABEL_COLOUR)
         figure.text(RIGHT, BOTTOM / 2, f"{number} of {len(pages.figures)}", fontsize=7,
                     color=LABEL_COLOUR, ha="right")
@@ -113,7 +110,8 @@ class _Pages:
             self.new()
         self._place -= height
         for (place, text), side in zip(cells, align or ("left",) * len(cells)):
-            self.figures[-1].text(place, self._place, text, fontsize=size, ha=side, **style)
+            self.figures[-1].text(place, self._place, as_utf8(text), fontsize=size, ha=side,
+                                  **style)
 
     def table(self, table: Table) -> None:
         """Write a table; the last column of one without numbers is wrapped."""
@@ -121,9 +119,8 @@ class _Pages:
             return
         if self._place - 6 * LINE < BOTTOM:  # no heading stands alone
             self.new()
-        rows = [[cell if column == len(row) - 1 and column else textwrap.shorten(
-            cell, LONGEST, placeholder="...") for column, cell in enumerate(row)]
-            for row in (table.head, *table.rows)]
+        rows = [[*(textwrap.shorten(cell, LONGEST, placeholder="...") for cell in row[:-1]),
+                 row[-1]] for row in (table.head, *table.rows)]
         width = [max(len(row[column]) for row in rows) + 3 for column in range(len(table.head))]
         ends = LEFT + CHARACTER * np.cumsum(width)
         align = ["right" if column in table.numbers else "left" for column in range(len(width))]

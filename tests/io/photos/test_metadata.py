@@ -67,6 +67,7 @@ ZONE = timezone(timedelta(hours=-4))
     ({**CLOCK, **UTC}, datetime(2024, 6, 2, 3, 59, 58, tzinfo=timezone.utc)),
     ({**CLOCK, "GPS:DateStamp": "2024:06:02"}, datetime(2024, 6, 1, 23, 59, 58)),
     ({"Exif:DateTimeOriginal": "0000:00:00 00:00:00"}, None),
+    ({"Exif:DateTimeOriginal": "0001:01:01 00:00:00"}, None),
     ({**UTC, "GPS:TimeStamp": (1e30, 0.0, 0.0)}, None),
 ])
 def test_when_it_was_taken(tmp_path, exif, expected):
