@@ -192,5 +192,6 @@ def _write(path: Path, like: Surface, bands: dict[str, str | None], *heights: He
     with bounded_memory(), TemporaryDirectory(dir=path.parent) as scratch:
         raster = Raster(Path(scratch) / "raw", like.grid, like.crs, bands, np.nan)
         raster.write((0, 0), np.stack(heights, axis=-1))
-        raster.finish({"TIFFTAG_SOFTWARE": "clsplat", VERTICAL: like.vertical})
+        tags = {VERTICAL: like.vertical} if "height" in bands else {}
+        raster.finish({"TIFFTAG_SOFTWARE": "clsplat", **tags})
         raster.save(path)

@@ -12,6 +12,7 @@ import pytest
 import rasterio
 
 from clsplat.apps import map as map_module
+from clsplat.apps import map_report
 from clsplat.apps.geotiff import Raster
 from clsplat.apps.hillshade import NODATA, hillshade, write_hillshade
 from clsplat.apps.map_files import ASSETS
@@ -19,7 +20,8 @@ from clsplat.apps.map_grid import TILE, MapGrid
 from clsplat.apps.qgis import write_heights_style
 from clsplat.apps.stac import stac_item
 from clsplat.evaluation.survey import Photographs, photographs_of
-from clsplat.georeference import Georeference
+from clsplat.georeference import CHECK, Residual
+from clsplat.report.figures.survey import write_pages
 from clsplat.scene import View
 from tests.apps.test_map import drawn
 from tests.data import ground_model as made
@@ -139,8 +141,11 @@ def test_what_the_files_of_photos_tell(tmp_path):
 def test_a_map_has_its_styles_item_and_report(item_device, tmp_path, monkeypatch):
     monkeypatch.setattr(map_module, "photographs_of",
                         lambda _: Photographs({"DJI FC6360, 64 x 48 pixels": 9}, ZONED))
-    place = Georeference(**{**made.UTM.__dict__, "vertical": "EGM96 height"})
-    _, record, _, heights = drawn(item_device, tmp_path, 0.1, place, terrain=7.0)
+    pages = []
+    monkeypatch.setattr(map_report, "write_pages", lambda *content: pages.append(
+        write_pages(*content[:3], *(given := [list(each) for each in content[3:]])) or given))
+    place = replace(made.UTM, vertical="EGM96 height")
+    grid, record, _, heights = drawn(item_device, tmp_path, 0.1, place, terrain=7.0)
     assert sorted(record["files"]) == sorted(
         {path.name for path in tmp_path.iterdir()} - {"map.json"})
     values, _, labels = stops(tmp_path / "surface.qml")
@@ -165,6 +170,22 @@ def test_a_map_has_its_styles_item_and_report(item_device, tmp_path, monkeypatch
         set(record["files"]) - {"item.json"})
     assert [band["name"] for band in item["assets"]["surface_tif"]["bands"]] == ["height", "spread"]
     assert (tmp_path / "survey.pdf").read_bytes().count(b"/Type /Page ") == 5
+    tables, sheets = pages[0]
+    facts = {key: value for table in tables for key, value in table.rows}
+    assert facts["camera"] == "DJI FC6360, 64 x 48 pixels: 9 photos"
+    assert facts["taken"] == "2024-06-01 10:00 to 2024-06-01 10:20, UTC"
+    assert facts["heights"] == "EGM96 height" and facts["check points"].startswith("none, so that")
+    assert [sheet.title for sheet in sheets] == ["Coverage", "Orthophoto", "Surface", "Terrain"]
+    for sheet in sheets:
+        assert np.allclose(sheet.bounds, grid.bounds, atol=4) and sheet.north and sheet.unit == "m"
+    assert np.abs(sheets[0].dots - (made.OFFSET + place.offset)[:2]).max() == pytest.approx(6)
+    assert sheets[0].scale[1] == np.nanmax(sheets[0].pixels) == 9, "photos, in the middle"
+    monkeypatch.setattr(map_report, "facts", lambda _: int("damaged"))
+    checked = replace(place, residuals=(Residual("1", CHECK, 0.1, 0.2, 0.3, 1.0),))
+    drawn(item_device, tmp_path, 0.1, checked)
+    titles = [table.title for table in pages[1][0] if table.rows]
+    assert titles[0] == "Warnings" and "Accuracy" not in titles
+    assert "Ground control points" in titles
     drawn(item_device, tmp_path, 0.1, None)
     left = {path.name for path in tmp_path.iterdir()}
     assert not left & {"item.json", "terrain.qml", "terrain_hillshade.tif"}, "of the earlier map"
