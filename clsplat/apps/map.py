@@ -149,12 +149,12 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, device: Device, folder: Pat
             bare.finish(tags)
             rasters[TERRAIN] = bare
         progress.phase("shading")
-        for name in set(SHADING) & set(rasters):
-            shade = Raster(Path(scratch) / f"shade of {name}", grid, crs, {"hillshade": None},
+        for source in [name for name in SHADING if name in rasters]:
+            shade = Raster(Path(scratch) / f"shade of {source}", grid, crs, {"hillshade": None},
                            NODATA)
-            write_hillshade(rasters[name], shade)
+            write_hillshade(rasters[source], shade)
             shade.finish(tags | TAGS)
-            rasters[SHADING[name]] = shade
+            rasters[SHADING[source]] = shade
         progress.phase("writing GeoTIFF files")
         for name, raster in rasters.items():
             raster.save(folder / name)

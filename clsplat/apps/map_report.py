@@ -67,7 +67,8 @@ def _photo_facts(photos: Photographs) -> Iterator[tuple[str, str]]:
 def _map_facts(record: dict[str, Any], unit: str) -> Iterator[tuple[str, str]]:
     left, bottom, right, top = record["bounds"]
     yield "coordinate system", (record["crs"] or "none")[:200]
-    yield "heights", record["vertical_reference"]
+    if not record["crs"]:  # else it is among the facts of the survey
+        yield "heights", record["vertical_reference"]
     x, y = ("east", "north") if record["crs"] else ("x", "y")
     yield "extent", (f"{x} {left:,.2f} to {right:,.2f}, {y} {bottom:,.2f} to {top:,.2f} {unit}")
     yield "pixels", (f"{record['columns']:,} x {record['rows']:,} of {record['resolution']:g} "

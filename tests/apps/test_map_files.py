@@ -148,6 +148,8 @@ def test_a_map_has_its_styles_item_and_report(item_device, tmp_path, monkeypatch
     grid, record, _, heights = drawn(item_device, tmp_path, 0.1, place, terrain=7.0)
     assert sorted(record["files"]) == sorted(
         {path.name for path in tmp_path.iterdir()} - {"map.json"})
+    assert record["files"][:5] == ["orthophoto.tif", "surface.tif", "terrain.tif", "hillshade.tif",
+                                   "terrain_hillshade.tif"]
     values, _, labels = stops(tmp_path / "surface.qml")
     assert np.allclose(np.array(values, float)[[0, -1]], np.nanquantile(heights, (0.02, 0.98)),
                        atol=1e-3) and labels[0] == f"{float(values[0]):.2f} m"
@@ -187,5 +189,6 @@ def test_a_map_has_its_styles_item_and_report(item_device, tmp_path, monkeypatch
     assert titles[0] == "Warnings" and "Accuracy" not in titles
     assert "Ground control points" in titles
     drawn(item_device, tmp_path, 0.1, None)
+    assert dict(pages[2][0][2].rows)["heights"] == "unknown: the vertical system of the scene"
     left = {path.name for path in tmp_path.iterdir()}
     assert not left & {"item.json", "terrain.qml", "terrain_hillshade.tif"}, "of the earlier map"
