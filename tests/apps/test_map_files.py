@@ -19,7 +19,7 @@ from clsplat.apps.map_files import ASSETS
 from clsplat.apps.map_grid import TILE, MapGrid
 from clsplat.apps.qgis import write_heights_style
 from clsplat.apps.stac import stac_item
-from clsplat.evaluation.survey import Photographs, photographs_of
+from clsplat.evaluation.survey import Photographs, photographs_of, survey_of
 from clsplat.georeference import CHECK, Residual
 from clsplat.report.figures.survey import write_pages
 from clsplat.scene import View
@@ -184,7 +184,11 @@ def test_a_map_has_its_styles_item_and_report(item_device, tmp_path, monkeypatch
     assert sheets[0].scale[1] == np.nanmax(sheets[0].pixels) == 9, "photos, in the middle"
     monkeypatch.setattr(map_report, "facts", lambda _: int("damaged"))
     checked = replace(place, residuals=(Residual("1", CHECK, 0.1, 0.2, 0.3, 1.0),))
+    monkeypatch.setattr(map_module, "survey_of", lambda scene: survey_of(
+        replace(scene, views=scene.views[2::3])))
     drawn(item_device, tmp_path, 0.1, checked)
+    rows = np.nanmean(pages[1][1][0].pixels, axis=1)
+    assert rows[:9].mean() > rows[-9:].mean() + 1, "the photos of the north"
     titles = [table.title for table in pages[1][0] if table.rows]
     assert titles[0] == "Warnings" and "Accuracy" not in titles
     assert "Ground control points" in titles

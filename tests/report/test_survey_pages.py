@@ -93,6 +93,7 @@ def test_the_same_survey_gives_the_same_bytes():
         write_pages(file, title, "clsplat", [], SHEETS[:1])
         files.append(file.getvalue())
     assert files[0] == files[1] != files[2] and files[0].startswith(b"%PDF")
+    assert b"/Title" in files[0] and b"Date" not in files[0]
 
 
 def test_a_report_of_a_scene_without_a_place():
