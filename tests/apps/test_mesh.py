@@ -17,7 +17,7 @@ from clsplat.scene import Scene, View
 from tests.apps.test_map import run_of
 from tests.command_line import clsplat_
 from tests.data import ground_model as made
-from tools.studies.mesh import compared, on_surface
+from tools.studies.mesh import compared, on_surface, outside, shown_surface, solids_at
 from tools.synth.city import distances, geometry_json, lay_out, read_city
 from tools.synth.raycast import cast
 from tools.synth.survey import observe, survey
@@ -127,6 +127,7 @@ def test_a_made_city_is_within_a_ground_sample_distance(item_device, made_city, 
     scores = compared(mesh, city, scene, 20_000)
     assert scores["vertices_within_1"] > 0.95 and scores["surface_within_1"] > 0.98, scores
     assert scores["surface_within_0.5"] > 0.9 and scores["complete"] > 0.8, scores
+    assert scores["true_surface"] > 0.8 and scores["shared_edges"] < 100, scores
     heights = mesh.colours[:, 0] / 255 * 20
     assert np.median(abs(heights - mesh.vertices[:, 2])) < 2 * mesh.voxel
     assert open_edges(mesh), "the ground ends"
@@ -147,6 +148,24 @@ def test_distances_of_a_made_city(made_city, tmp_path):
     corner = np.array([high + [0, 0, 3]])
     assert abs(distances(again, corner)[0]) <= 3 and len(on_surface(SimpleNamespace(
         vertices=np.eye(3), triangles=np.array([[0, 1, 2]])), 10)) == 10
+
+
+def test_the_study_names_places(made_city):
+    city, scene = made_city
+    (low, high), *_ = city.boxes[city.kinds == 0]
+    *centre, radius = city.spheres[0]
+    middle = (low + high) / 2
+    kinds = solids_at(city, np.array([
+        [*middle[:2], high[2] + 0.1], [high[0] + 0.1, *middle[1:]],
+        np.add(centre, (0, 0, radius)), [*(2 * city.extent), 0.1]]))
+    assert kinds[1:].tolist() == ["wall", "tree", "rim"] and kinds[0] in ("roof", "small box")
+    points = shown_surface(city, [view.camera for view in scene.views], 0.5, 2000)
+    assert 500 < len(points) < 2000 and abs(distances(city, points)).max() < 0.1
+    assert not len(shown_surface(city, [scene.views[0].camera], 0.5, 2000)), "one camera is not two"
+    square = SimpleNamespace(vertices=np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]),
+                             triangles=np.array([[0, 1, 2], [0, 2, 3]]))
+    found = outside(square, city, np.array([0, 0, 3, -3]), 1.0)
+    assert found["at open edges"] == [1, 0.5, 1] and "inner" not in found
 
 
 def test_the_command(tmp_path, monkeypatch):
