@@ -8,10 +8,11 @@
 //
 //   w = 1 / (1 + (s / (SURE p))^2),
 //
-// where s is how far D lies behind the depth `first`, at which less of the light is held back, and
-// p is the size of a pixel at D. It does not count where more than half of the light passes,
-// where p is more than COARSEST_PIXEL voxels, and where the four pixels between which D is
-// interpolated are further apart than a truncation, as at a silhouette.
+// where s is how far the depth at which half of the light is held back lies behind `first`, at
+// which less of it is, and p is the size of a pixel at D. D is the middle of the two: where half of
+// the light is held back lies behind the surface. A view does not count where more than half of the
+// light passes, where p is more than COARSEST_PIXEL voxels, and where the four pixels between which
+// D is interpolated are further apart than a truncation, as at a silhouette.
 //
 // The volume consists of bricks of BRICK_SIDE^3 samples, of which only those near the surface are
 // there. Sample (i, j, k), k the fastest, lies at voxel (BRICK_CELLS brick + (i, j, k)): neighbours
@@ -26,14 +27,15 @@
 #define SURE 2 // pixels
 #define MOST_PASSES 0.5 // of the light
 
-// The depth at (u, v), where the centre of pixel (0, 0) is at (0.5, 0.5); 0: none.
-INLINE real depth_at(__global const real *restrict depth, int width, int height, real u, real v,
-                     real truncation)
+// The depth D at (u, v), where the centre of pixel (0, 0) is at (0.5, 0.5); 0: none.
+INLINE real depth_at(__global const real *restrict depth, __global const real *restrict first,
+                     int width, int height, real u, real v, real truncation)
 {
     const int x = clamp((int)floor(u - (real)0.5), 0, width - 2);
     const int y = clamp((int)floor(v - (real)0.5), 0, height - 2);
-    const real2 upper = vload2(0, depth + (long)y * width + x);
-    const real2 lower = vload2(0, depth + (long)(y + 1) * width + x);
+    const long above_left = (long)y * width + x, below_left = above_left + width;
+    const real2 upper = (vload2(0, depth + above_left) + vload2(0, first + above_left)) / 2;
+    const real2 lower = (vload2(0, depth + below_left) + vload2(0, first + below_left)) / 2;
     const real nearest = fmin(fmin(upper.x, upper.y), fmin(lower.x, lower.y));
     const real farthest = fmax(fmax(upper.x, upper.y), fmax(lower.x, lower.y));
     const real fx = clamp(u - (real)0.5 - x, (real)0, (real)1);
@@ -66,7 +68,7 @@ __kernel void signed_distance(uint count, uint chosen_count, int width, int heig
     const real u = q.x / q.z * focal.x + centre.x, v = q.y / q.z * focal.y + centre.y;
     if (!(q.z > camera[CAMERA_NEAR] && u >= 0 && v >= 0 && u < width && v < height)) // nor a nan
         return;
-    const real found = depth_at(depth, width, height, u, v, truncation);
+    const real found = depth_at(depth, first, width, height, u, v, truncation);
     const long pixel = (long)v * width + (long)u, plane = (long)width * height;
     const real d = fmin((found - q.z) / truncation, (real)1), size = found / focal.x;
     const real unsure = (depth[pixel] - first[pixel]) / (SURE * size);

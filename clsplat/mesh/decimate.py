@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Triangles = NDArray[np.integer]
 CELLS = (16, 8, 4, 2)  # their sides, voxels; the largest that may be merged is
-FLAT = 0.2  # voxels, the root of the mean squared distance from the planes of triangles, at most
+FLAT = 0.4  # voxels, the root of the mean squared distance from the planes of triangles, at most
 ALIKE = 8.0  # of 255, the standard deviation of colours, at most
 ROUNDS, SLIVER = 8, 0.5  # of taking folds apart; voxels squared, of a triangle that is none
 STIFF = 1e-3  # share of the largest eigenvalue: so little holds a vertex where planes do not

@@ -25,7 +25,7 @@ def a_view(width=29, height=21, seed=0, away=0.0):
     depth[:, width // 2] += 1  # a silhouette
     depth[rng.random(depth.shape) < 0.03] = 0
     depth[:, 4:8], depth[:, -4:-1] = 500, 0  # whose pixels are too coarse, and none
-    first = depth - rng.uniform(0, 2, depth.shape)
+    first = depth - rng.uniform(0, 0.6, depth.shape)
     planes = depth, first, rng.uniform(0, 0.6, depth.shape), rng.random((3, height, width))
     return camera, tuple(cases.single(plane) for plane in planes)
 

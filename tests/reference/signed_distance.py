@@ -44,7 +44,7 @@ def signed_distance(bricks, voxel, truncation, views):
             shown = np.flatnonzero((z > near) & (pixels >= 0).all(axis=1)
                                    & (pixels < depth.shape[::-1]).all(axis=1))
             column, row = pixels[shown].astype(int).T
-            found = depth_at(depth, pixels[shown], truncation)
+            found = depth_at((depth + first) / 2, pixels[shown], truncation)
             size = found / focal[0]
             with np.errstate(divide="ignore", invalid="ignore"):  # where there is no depth
                 unsure = (depth[row, column] - first[row, column]) / (SURE * size)
