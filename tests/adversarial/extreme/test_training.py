@@ -162,7 +162,7 @@ CASES = {
 SCHEDULES = {"constant": {"reset_every": 0}, "sig": {**LEVELLED, "reproject": "auto"}}
 STEPS = 200
 # nothing is left of these models, and what ends a training is said
-EMPTIED = {"transparent"}
+EMPTIED = {"transparent", "rates_x1000"}
 
 
 def prepared(city, case, schedule, folder):
