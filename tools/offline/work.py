@@ -53,7 +53,8 @@ WORK: tuple[tuple[str, Mapping[str, Any]], ...] = (
     (f"{TRAIN} FOLDER/coded --schedule dash", {**EVENTFUL, "engine": "coded"}),
     (f"{TRAIN} FOLDER/numpy --schedule constant", {**EVENTFUL, "engine": "numpy"}),
     *((f"{TRAIN} FOLDER/paged_{engine} --init FOLDER/many.ply --memory-budget {budget}MiB",
-       {"sh_every": 12, "engine": engine}) for engine, budget in (("device", 18), ("coded", 16))),
+       {"sh_every": 12, "engine": engine, "eval_every": 25})
+      for engine, budget in (("device", 18), ("coded", 16))),
     ("bench SCENE -r 4", {}),
     ("city SCENE -n 60 -r 4 -q -o FOLDER/city --grid 2x1 --least-views 3 --tree --exchanges 1",
      {"densify_from": 1000}),
