@@ -113,7 +113,8 @@ def photographs_of(scene: Scene) -> Photographs:
                               folder / view.name for view in scene.views
                               if isinstance(view.source, Path)):
         known = read_metadata(path)
-        cameras[f"{known.camera or 'unknown camera'}, {known.width} x {known.height} pixels"] += 1
+        name = " ".join(dict.fromkeys(known.camera.split()))  # a model may begin with its maker
+        cameras[f"{name or 'unknown camera'}, {known.width} x {known.height} pixels"] += 1
         times += [known.taken] if known.taken else []
     used = [each.astimezone(timezone.utc) for each in times if each.tzinfo] or times
     return Photographs(dict(cameras), (min(used), max(used)) if used else None)

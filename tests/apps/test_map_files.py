@@ -124,7 +124,7 @@ def test_the_corners_of_an_item_are_longitudes_and_latitudes():
 def test_what_the_files_of_photos_tell(tmp_path):
     (tmp_path / "images").mkdir()
     facts = [CLOCK, {**CLOCK, **UTC, "Make": "DJI", "Model": "FC6360"},
-             {**UTC, "GPS:TimeStamp": (5.0, 0.0, 0.0), "Make": "DJI", "Model": "FC6360"}]
+             {**UTC, "GPS:TimeStamp": (5.0, 0.0, 0.0), "Make": "DJI", "Model": "DJI FC6360"}]
     paths = [photo(tmp_path / "images" / f"{number}.jpg", exif)
              for number, exif in enumerate(facts)]
     views = made.scene().views
