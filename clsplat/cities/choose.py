@@ -4,9 +4,9 @@ A block trains the gaussians that its region reaches: those it owns, and those i
 are the neighbours that its outer gaussians have in the whole scene. Behind them its photos show the
 rest of the scene. These surroundings are frozen as the coarse run left them. If they were trained,
 they would compensate for errors of the block's own gaussians, in a different way in every block:
-after merging, caliterra then lost 4 dB. A gaussian that the block owns but
-that extends beyond its reach, such as haze, is frozen for the same reason: every block trains its
-other gaussians with the same haze. Merging drops margin and surroundings.
+after merging, caliterra then lost 4 dB. A gaussian that the block owns but that extends beyond its
+reach, such as haze, is frozen for the same reason: every block trains its other gaussians with the
+same haze. Merging drops margin and surroundings.
 """
 
 from collections.abc import Sequence

@@ -348,7 +348,6 @@ class Step:
         self._model.catch_up()
         if self._model.pages:
             self._model.pages.leave()
-        self.rows_changed()
         source = np.concatenate([kept, np.zeros(len(rows["positions"]))]).astype(np.uint32)
         self.replace_rows(Growth(source, len(kept), 0, 0, 0, {
             name: (len(kept), values) for name, values in rows.items()}))
