@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
+from clsplat.evaluation import metrics
 from clsplat.evaluation.metrics import Lpips, fit_colour, flip, psnr, ssim
 from clsplat.evaluation.views import FINAL_METRICS, final_metrics
 from tests.refusals import refused
@@ -160,7 +161,9 @@ def test_faint_colours_can_be_restored():
     assert np.abs(fit_colour(image, photo) - photo)[inside].max() < 0.1 / 255
 
 
-def test_it_is_the_least_squares_fit(image):
+@pytest.mark.parametrize("chunk", [1000, 1 << 14])  # the sums of many, and of one
+def test_it_is_the_least_squares_fit(image, monkeypatch, chunk):
+    monkeypatch.setattr(metrics, "CHUNK_PIXELS", chunk)
     photo = np.clip(quadratic(image) + np.random.default_rng(2).normal(0, 0.01, image.shape), 0, 1)
     r, g, b = image.reshape(-1, 3).T
     design = np.stack([np.ones_like(r), r, g, b, r * r, r * g, r * b, g * g, g * b, b * b], 1)
