@@ -225,6 +225,12 @@ __kernel void project_adjoint(
         const real grad_logit = grad_opacity * f.opacity / (1 + exp(opacity_logits[row]));
 
         const real4 grad_quaternion = turn_adjoint(f.q, f.q_length, grad_turn);
+        vstore3(grad_log_scale, v, grad_log_scales);
+        vstore4(grad_quaternion, v, grad_quaternions);
+        vstore2(grad_mean, v, grad_means);
+        grad_opacity_logits[v] = grad_logit;
+        real size = fabs(grad_logit) + dot(fabs(grad_log_scale), (real3)(1)) +
+                    dot(fabs(grad_quaternion), (real4)(1));
 
         // through A = J W to the camera-frame position
         __global const real *w = camera + CAMERA_ROTATION;
@@ -250,53 +256,59 @@ __kernel void project_adjoint(
 #if WITH_POSE
         const real3 turn_world =
             (real3)(dot(f.r0, grad_turn), dot(f.r1, grad_turn), dot(f.r2, grad_turn));
-        const real3 by_turn = cross(f.p, grad_p) + (real3)(dot(vload3(0, w), turn_world),
-                                                           dot(vload3(1, w), turn_world),
-                                                           dot(w3, turn_world));
+        vstore3(cross(f.p, grad_p) + (real3)(dot(vload3(0, w), turn_world),
+                                             dot(vload3(1, w), turn_world), dot(w3, turn_world)),
+                2 * v, pose_terms);
+#endif
+#if MASKED && WITH_STATISTICS
+        const real2 photo_size = 2 * (real2)(half_width, half_height);
+        const real2 mean = focal * f.p.xy + vload2(0, camera + CAMERA_CENTRE);
+        const real2 place = fmin(fmax(mean, (real)0), photo_size - 1);
+        const ulong pixel = (ulong)place.y * (ulong)photo_size.x + (ulong)place.x;
+        const bool sees = photo[3 * (ulong)photo_size.x * (ulong)photo_size.y + pixel] > 0 ||
+                          grad_mean.x != 0 || grad_mean.y != 0;
+#else
+        const bool sees = true;
 #endif
 
 #if WITH_FEATURES
         real3 grad_colour = (real3)(0);
-        real feature_size = 0;
         for (uint k = 0; k < CHANNELS; k++) {
             grad_features[v * CHANNELS + k] = sum[SUM_COLOUR + k];
-            feature_size += fabs(sum[SUM_COLOUR + k]);
+            size += fabs(sum[SUM_COLOUR + k]);
         }
 #else
         real3 grad_colour = vload3(0, sum + SUM_COLOUR);
-        const real feature_size = 0;
 #endif
         // where a colour is not drawn nothing flows
         real3 colour = (real)0.5 + (real)SH_C0 * vload3(row, sh_constant);
 #if DEGREE > 0
-        real basis[SH_SIZE], weight[SH_SIZE];
+        real basis[SH_SIZE];
+        real3 h[SH_SIZE], slope_x, slope_y, slope_z;
         const real3 offset = vload3(row, positions) - vload3(0, camera + CAMERA_POSITION);
         const real inverse_distance = 1 / length(offset);
         const real3 d = offset * inverse_distance;
+#pragma unroll
+        for (uint k = 0; k < SH_ACTIVE; k++)
+            h[k] = HARMONIC(k);
         harmonics(d, basis);
 #pragma unroll
         for (uint k = 0; k < SH_ACTIVE; k++)
-            colour += basis[k] * HARMONIC(k);
+            colour += basis[k] * h[k];
+        harmonics_slopes(d, h, &slope_x, &slope_y, &slope_z);
 #endif
         grad_colour = select((real3)(0), grad_colour, drawn(colour));
 #if DEGREE > 0
-#pragma unroll
-        for (uint k = 0; k < SH_ACTIVE; k++)
-            weight[k] = dot(grad_colour, HARMONIC(k));
-        const real3 g = harmonics_gradient(d, weight);
+        const real3 g = (real3)(dot(slope_x, grad_colour), dot(slope_y, grad_colour),
+                                dot(slope_z, grad_colour));
         grad_position += (g - d * dot(d, g)) * inverse_distance;
         vstore3(d, v, directions);
 #endif
         vstore3(grad_position, v, grad_positions);
         vstore3(grad_colour, v, grad_colours);
-        vstore3(grad_log_scale, v, grad_log_scales);
-        vstore4(grad_quaternion, v, grad_quaternions);
-        vstore2(grad_mean, v, grad_means);
-        grad_opacity_logits[v] = grad_logit;
 
-        const real3 size = fabs(grad_position) + fabs(grad_colour) + fabs(grad_log_scale);
-        const bool finite = size.x + size.y + size.z + feature_size + fabs(grad_logit) +
-                                    dot(fabs(grad_quaternion), (real4)(1)) < (real)GRADIENT_MAX &&
+        const bool finite = size + dot(fabs(grad_position) + fabs(grad_colour), (real3)(1)) <
+                                (real)GRADIENT_MAX &&
                             isfinite(colour.x + colour.y + colour.z);
         if (!finite)
             atomic_inc(skipped);
@@ -307,22 +319,14 @@ __kernel void project_adjoint(
 #endif
         active[v] = moves ? row : NO_ROW;
 #if WITH_POSE
-        vstore3(finite ? by_turn : (real3)(0), 2 * v, pose_terms);
+        if (!finite)
+            vstore3((real3)(0), 2 * v, pose_terms);
         vstore3(finite ? grad_position : (real3)(0), 2 * v + 1, pose_terms);
 #endif
 #if WITH_STATISTICS
         if (moves) {
             grad_norm_sum[row] += length(grad_mean * (real2)(half_width, half_height));
-#if MASKED
-            const real2 size = 2 * (real2)(half_width, half_height);
-            const real2 mean = focal * f.p.xy + vload2(0, camera + CAMERA_CENTRE);
-            const real2 place = fmin(fmax(mean, (real)0), size - 1);
-            const ulong pixel = (ulong)place.y * (ulong)size.x + (ulong)place.x;
-            seen_count[row] += photo[3 * (ulong)size.x * (ulong)size.y + pixel] > 0 ||
-                               grad_mean.x != 0 || grad_mean.y != 0;
-#else
-            seen_count[row]++;
-#endif
+            seen_count[row] += sees;
         }
 #endif
     }

@@ -251,7 +251,7 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
         blocks[block] = 0;
         for (int part = 0; part < ROWS_AT_ONCE; part++) {
             const int i = (block / OWNED_X * ROWS_AT_ONCE + part) * OWNED_X + block % OWNED_X;
-            blocks[block] |= 1u << (i * STRIDE + lane / WAVE);
+            blocks[block] |= 1u << (i * STRIDE + (STRIDE > 1 ? lane / WAVE : 0));
         }
     }
     // in front of the splat: transmittance; cotangent . all from there on

@@ -45,27 +45,35 @@ inline void harmonics(real3 d, real *basis)
 #endif
 }
 
-// Gradient by direction of sum_k weight[k] * basis[k](d).
-inline real3 harmonics_gradient(real3 d, const real *weight)
+// Gradients of a colour by direction, along x, y and z, each of three channels; h: the coefficients
+// of its harmonics.
+inline void harmonics_slopes(real3 d, const real3 *h, real3 *slope_x, real3 *slope_y,
+                             real3 *slope_z)
 {
     const real x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
-    real3 g = (real3)(0);
+    real3 gx = (real3)(0), gy = gx, gz = gx;
 #if DEGREE >= 1
-    g += SH_C1 * (real3)(-weight[2], -weight[0], weight[1]);
+    gx -= SH_C1 * h[2];
+    gy -= SH_C1 * h[0];
+    gz += SH_C1 * h[1];
 #endif
 #if DEGREE >= 2
-    g += SH_C2A * weight[3] * (real3)(y, x, 0) - SH_C2A * weight[4] * (real3)(0, z, y);
-    g += 2 * SH_C2B * weight[5] * (real3)(-x, -y, 2 * z);
-    g += 2 * SH_C2C * weight[7] * (real3)(x, -y, 0) - SH_C2A * weight[6] * (real3)(z, 0, x);
+    gx += SH_C2A * (y * h[3] - z * h[6]) + 2 * x * (SH_C2C * h[7] - SH_C2B * h[5]);
+    gy += SH_C2A * (x * h[3] - z * h[4]) - 2 * y * (SH_C2C * h[7] + SH_C2B * h[5]);
+    gz += 4 * SH_C2B * z * h[5] - SH_C2A * (y * h[4] + x * h[6]);
 #endif
 #if DEGREE >= 3
-    g -= SH_C3A * weight[8] * (real3)(6 * x * y, 3 * (xx - yy), 0);
-    g += SH_C3B * weight[9] * (real3)(y * z, x * z, x * y);
-    g -= SH_C3C * weight[10] * (real3)(-2 * x * y, 4 * zz - xx - 3 * yy, 8 * y * z);
-    g += SH_C3D * weight[11] * (real3)(-6 * x * z, -6 * y * z, 6 * zz - 3 * (xx + yy));
-    g -= SH_C3C * weight[12] * (real3)(4 * zz - 3 * xx - yy, -2 * x * y, 8 * x * z);
-    g += SH_C3E * weight[13] * (real3)(2 * x * z, -2 * y * z, xx - yy);
-    g -= SH_C3A * weight[14] * (real3)(3 * (xx - yy), -6 * x * y, 0);
+    gx += -6 * SH_C3A * x * y * h[8] + SH_C3B * y * z * h[9] + 2 * SH_C3C * x * y * h[10];
+    gx += -6 * SH_C3D * x * z * h[11] - SH_C3C * (4 * zz - 3 * xx - yy) * h[12];
+    gx += 2 * SH_C3E * x * z * h[13] - 3 * SH_C3A * (xx - yy) * h[14];
+    gy += -3 * SH_C3A * (xx - yy) * h[8] + SH_C3B * x * z * h[9];
+    gy += -SH_C3C * (4 * zz - xx - 3 * yy) * h[10] - 6 * SH_C3D * y * z * h[11];
+    gy += 2 * SH_C3C * x * y * h[12] - 2 * SH_C3E * y * z * h[13] + 6 * SH_C3A * x * y * h[14];
+    gz += SH_C3B * x * y * h[9] - 8 * SH_C3C * y * z * h[10];
+    gz += SH_C3D * (6 * zz - 3 * (xx + yy)) * h[11] - 8 * SH_C3C * x * z * h[12];
+    gz += SH_C3E * (xx - yy) * h[13];
 #endif
-    return g;
+    *slope_x = gx;
+    *slope_y = gy;
+    *slope_z = gz;
 }
