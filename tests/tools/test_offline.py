@@ -70,13 +70,23 @@ kernels_misc_info:
 
 
 def test_what_clang_says_for_amd():
-    assert parse_amd(AMD) == [Usage("blend_adjoint", 96, 40, 3, 14, 8, 10752, 2)]
+    assert parse_amd(AMD, 64, {"blend_adjoint": 128}) == [
+        Usage("blend_adjoint", 96, 40, 3, 14, 8, 10752, 2)]
+
+
+def test_small_groups_that_share_local_memory_are_fewer_waves_than_clang_says():
+    said = AMD.replace("[waves/SIMD]: 2", "[waves/SIMD]: 8")
+    waves = [parse_amd(said, wave, {"blend_adjoint": group})[0].waves
+             for wave, group in ((64, 64), (64, 65), (64, 256), (32, 32))]
+    assert waves == [2, 3, 6, 3]
+    assert parse_amd(said.replace("10752", "0"), 64, {})[0].waves == 8
 
 
 def test_a_function_that_the_program_lacks():
     """Registers are then a formula."""
     with pytest.raises(InputError, match="pose_step calls a function .* static, or"):
-        parse_amd("remark: Function Name: pose_step [-R]\nremark:     TotalSGPRs: max(1, f) [-R]")
+        parse_amd("remark: Function Name: pose_step [-R]\nremark:     TotalSGPRs: max(1, f) [-R]",
+                  64, {})
 
 
 def test_what_ptxas_says():

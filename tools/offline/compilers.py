@@ -44,6 +44,7 @@ PACKAGES: dict[str | Path, str] = {  # what a target needs -> the package that h
     DEVICE_LIBRARIES: "Debian's rocm-device-libs"}
 # KiB of local memory of a multiprocessor, and what each group takes of it besides its own
 NVIDIA_LOCAL = {"sm_70": (96, 0), "sm_80": (164, 1), "sm_90": (228, 1)}
+AMD_LOCAL, AMD_SIMDS = {64: 64 << 10, 32: 128 << 10}, 4  # bytes that so many SIMDs share, by lanes
 NVIDIA_WARPS, NVIDIA_GROUPS, NVIDIA_REGISTERS = 64, 32, 1 << 16  # of a multiprocessor
 
 
@@ -153,11 +154,12 @@ def amd(target: Target, source: Path, options: Sequence[str], groups: Mapping[st
         libraries = [DEVICE_LIBRARIES / f"{name}.bc" for name in names]
     return parse_amd(clang("amdgcn-amd-amdhsa", source, options, libraries, "-nogpulib",
                            f"-mcpu={target.name}", "-Rpass-analysis=kernel-resource-usage",
-                           "-c", "-o", source.with_suffix(".o")))
+                           "-c", "-o", source.with_suffix(".o")), target.wave, groups)
 
 
-def parse_amd(text: str) -> list[Usage]:
-    """The remarks of clang's kernel-resource-usage."""
+def parse_amd(text: str, wave: int, groups: Mapping[str, int]) -> list[Usage]:
+    """The remarks of clang's kernel-resource-usage, with the waves of groups of their true size:
+    where a kernel does not say it, clang takes a larger one."""
     usages = []
     for part in text.split("Function Name: ")[1:]:
         number = {name: int(value) for name, value in re.findall(
@@ -165,11 +167,14 @@ def parse_amd(text: str) -> list[Usage]:
         if "VGPRs" not in number:  # a formula, as the compiler does not know what is called
             raise InputError(f"{part.split()[0]} calls a function that the program lacks: make "
                              "one that is not inlined static, or with barriers always_inline")
+        kernel, local = part.split()[0], number["LDS Size [bytes/block]"]
+        waves, of_a_group = number["Occupancy [waves/SIMD]"], -(-groups.get(kernel, wave) // wave)
+        if local:
+            waves = min(waves, -(-(AMD_LOCAL[wave] // local * of_a_group) // AMD_SIMDS))
         usages.append(Usage(
-            part.split()[0], number["VGPRs"] + number.get("AGPRs", 0),
+            kernel, number["VGPRs"] + number.get("AGPRs", 0),
             number["TotalSGPRs"], number["VGPRs Spill"], number["SGPRs Spill"],
-            number["ScratchSize [bytes/lane]"], number["LDS Size [bytes/block]"],
-            number["Occupancy [waves/SIMD]"]))
+            number["ScratchSize [bytes/lane]"], local, waves))
     return usages
 
 
