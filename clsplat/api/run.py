@@ -15,9 +15,9 @@ from clsplat.evaluation import run
 from clsplat.evaluation.views import evaluate_run, final_metrics
 from clsplat.report.notebook import run_page
 from clsplat.training.checkpoint import latest_model
-from clsplat.training.loop import resumed
 from clsplat.training.part import Part
 from clsplat.training.recorder import Callback
+from clsplat.training.run import resumed
 
 
 class Run(run.Run):

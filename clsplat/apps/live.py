@@ -16,7 +16,7 @@ from clsplat.report.model_page import filled, near_of, place_record, view_record
 from clsplat.report.page import full_name, script_json
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import latest_model
-from clsplat.training.model import CurrentRenderer
+from clsplat.training.current import CurrentRenderer
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
 

@@ -26,8 +26,9 @@ from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.io.scenes.write import DEPTH
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.training.interrupt import was_interrupted
-from clsplat.training.loop import Training, training_of
+from clsplat.training.loop import Training
 from clsplat.training.progress import SilentProgress
+from clsplat.training.run import training_of
 
 # options that the coarse run decides, so that all blocks agree on colours and SH degree
 DECIDED = ("exposure", "vignetting", "sh_degree")

@@ -28,9 +28,9 @@ from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.scene import Scene
 from clsplat.schedule.plan import SceneFacts
 from clsplat.schedule.steps import worthwhile_steps
-from clsplat.training.loop import training_of
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
+from clsplat.training.run import training_of
 from clsplat.training.start.prepare import scene_facts
 
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this

@@ -46,10 +46,10 @@ from clsplat.partition.region import Partition, world_of
 from clsplat.report.figures.map import write_map
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
-from clsplat.training.loop import training_of
 from clsplat.training.part import Part
 from clsplat.training.parts.exposures import PhotoResponses
 from clsplat.training.progress import SilentProgress
+from clsplat.training.run import training_of
 from clsplat.training.start.begin import trained_on
 
 READ_TOGETHER = 4  # blocks, where all of them will be in memory

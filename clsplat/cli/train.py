@@ -137,7 +137,7 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, given
     assert scene is not None  # only a run that resumes is given none
     opened = opened or _opened(options)
     from clsplat.io.scenes.read import read_scene
-    from clsplat.training import loop
+    from clsplat.training import run as trainings
     data = read_scene(scene, options.images)
     if up is not None:
         if data.georeference is not None:
@@ -155,10 +155,10 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, given
             watcher = progress = stack.enter_context(TrainingView(data, progress))
             announce(watcher.address)
         if resumes:
-            loop.resumed(data, options, device, run, progress=progress, watcher=watcher).take()
+            trainings.resumed(data, options, device, run, progress=progress, watcher=watcher).take()
         else:
             run = RunFolder.create(output, overwrite=overwrite)
-            loop.train(data, options, device, run, progress=progress, watcher=watcher)
+            trainings.train(data, options, device, run, progress=progress, watcher=watcher)
         return progress.spent()
 
 

@@ -16,96 +16,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import (
-    CATCH_UP_EVERY,
-    FRAME_COUNTS,
-    LAZY_TERMS,
-    ONE_MINUS_BETA1,
-    ONE_MINUS_BETA2,
-    SH_C0,
-    SMALL_COLUMNS,
-)
-from clsplat.device import Array, ArraySpec, Device, Either, Forms, Kernel, Only, each
-from clsplat.device.kernel import Argument
+from clsplat.constants import CATCH_UP_EVERY, FRAME_COUNTS, LAZY_TERMS, SH_C0, SMALL_COLUMNS
+from clsplat.device import Array, ArraySpec, Device
 from clsplat.gaussians import LEARNED
+from clsplat.optimise.adam_kernels import CATCH_UP, CLEAR, PAGED, SEEN, STEP
 from clsplat.optimise.moments import AS_CODES, AS_REALS
-from clsplat.optimise.options import OptimiseOptions
 from clsplat.optimise.pages import Pages
+from clsplat.optimise.rates import corrections
 from clsplat.primitives.gather import download_rows, gather
 from clsplat.rendering.blend import Defines
 from clsplat.rendering.project import FieldGradients, Gradients, paged_defines
 
 LAG = ("last_step", "coefficients", "is_current")  # what checkpoints keep of lazy rows
 HostArrays = dict[str, NDArray[np.floating]]  # field name -> [N, *row shape]
-POSITION_DECAY = 0.01  # share of the rate of positions left at the last step (Kerbl et al. 2023)
-# Where the last steps are averaged, gaussians move faster: positions by so many pixels of the
-# photos in a step, of which this share is left at the end, and sizes, turns and colours by a factor
-AVERAGED_PIXELS, AVERAGED_DECAY, AVERAGED_FACTOR = 0.1, 0.1, 3.0
-
 MOMENTS_OF_REST = "m_rest", "v_rest"  # of the harmonics above the constant, by their kernels' names
 SMALL = tuple(field for field in LEARNED if field.name != "sh_rest")  # fields of the small columns
 _COLUMNS = {field.name: slice(end - field.width(0), end) for field, end in zip(
     SMALL, accumulate(field.width(0) for field in SMALL))}
 
 
-def _moments(m: str, v: str, *shape: str | int) -> dict[str, Either]:
-    """Moments by name, whose types depend on the build (cl/include/moments.h)."""
-    return {m: Either("CODED", ("ushort", *shape), ("real", *shape)),
-            v: Either("CODED", ("uchar", *shape), ("real", *shape))}
-
-
-_SMALL_MOMENTS = _moments("m", "v", "N", SMALL_COLUMNS)
-_ROWS: dict[str, Argument | Either] = dict(
-    positions=("real", "N", 3), sh_constant=("real", "N", 3), sh_rest=("real", "R", "K", 3),
-    opacity_logits=("real", "N"), log_scales=("real", "N", 3), quaternions=("real", "N", 4),
-    **_SMALL_MOMENTS, **_moments("m_rest", "v_rest", "R", "S"), last_step=("uint", "N"))
-_PAGED = dict(places=Only("PAGED", ("uint", "N")), slots=Only("PAGED", ("uint", "Q")))
-_COUNTS = dict(counts=("uint", FRAME_COUNTS))
-_COEFFICIENTS = dict(coefficients=("real", CATCH_UP_EVERY, LAZY_TERMS))
-STEP = Kernel(
-    "adam.cl", "adam_step", Forms(each("work"), each("work STEP_SPREAD")), work="uint",
-    now="uint", rank_one="uint", first="real", correction="real", share="real",
-    **{f"rate_{field.name}": "real" for field in LEARNED}, **_COUNTS, visible=("uint", "V"),
-    rows=("uint", "V"), grad_positions=("real", "V", 3), grad_colours=("real", "V", 3),
-    grad_opacity_logits=("real", "V"), grad_log_scales=("real", "V", 3),
-    grad_quaternions=("real", "V", 4), directions=("real", "V", 3),
-    grad_sh_rest=("real", "G", "H", 3), **_ROWS, **_COEFFICIENTS, **_PAGED)
-CATCH_UP = Kernel(
-    "adam.cl", "adam_catch_up", Forms(each("count"), each("count CATCH_UP_SPREAD")), count="uint",
-    now="uint", keeps="uint", has_frozen="uint", by_camera="uint", **_COUNTS, camera=("real", "C"),
-    frozen=("uint", "F"), **_COEFFICIENTS, **_ROWS, **_PAGED)
-SEEN = Kernel("adam.cl", "adam_seen", Forms(each("count/16"), each("count")), count="uint",
-              now="uint", margin="real", position_ahead="real", scale_ahead="real",
-              camera=("real", "C"), **_COEFFICIENTS, positions=("real", "N", 3),
-              log_scales=("real", "N", 3), last_step=("uint", "N"), flags=("uint", "N"))
-CLEAR = Kernel("adam.cl", "adam_clear", each("count"), count="uint", begin="uint", end="uint",
-               **_SMALL_MOMENTS)
-
-
 def adam_defines(harmonics: int, degree: int) -> Defines:
     """The build-time choices for so many stored harmonics besides the constant ones, of which those
     of a degree are active."""
     return ("SH_REST", harmonics), ("DEGREE", degree)
-
-
-def learning_rates(decay: float, extent: float, pixel: float, options: OptimiseOptions
-                   ) -> dict[str, float]:
-    """The learning rate of each field; that of the positions decays exponentially as `decay` goes
-    from 0 to 1. It scales with the `extent` of the scene, world units, or where the last steps are
-    averaged with the size of a `pixel` of the photos at the scene, world units."""
-    rates = {field.name: field.rate for field in LEARNED}
-    rates["positions"] *= extent * POSITION_DECAY**decay
-    if options.average:
-        rates = {name: AVERAGED_FACTOR * rate for name, rate in rates.items()}
-        rates["positions"] = AVERAGED_PIXELS * pixel * AVERAGED_DECAY**decay
-    rates["opacity_logits"] = options.opacity_rate
-    return rates
-
-
-def corrections(step: int) -> tuple[float, float]:
-    """The bias corrections 1 / (1 - beta1^t) and 1 / sqrt(1 - beta2^t) of step t, from 1."""
-    beta1, beta2 = 1 - ONE_MINUS_BETA1, 1 - ONE_MINUS_BETA2
-    return 1 / (1 - beta1**step), 1 / float(np.sqrt(1 - beta2**step))
 
 
 class DeviceAdam:
@@ -240,11 +173,11 @@ class DeviceAdam:
         rest = self.pages.rest_of(chosen) if self.pages else chosen
         state = {name: taken(array, rest if name.endswith("_rest") else chosen)
                  for name, array in self._state_of(rows).items()
-                 if array is not None and name not in ("coefficients", *_PAGED)}
+                 if array is not None and name not in ("coefficients", *PAGED)}
         if not self.is_current:
             self._launch_coast(
                 {**state, "coefficients": self._others["coefficients"],
-                 **dict.fromkeys(_PAGED)}, self._defines({}, self._degree),
+                 **dict.fromkeys(PAGED)}, self._defines({}, self._degree),
                 None if frozen is None else taken(frozen), None, False, self.steps, None)
         return {field.name: state[field.name] for field in LEARNED}
 
@@ -280,7 +213,7 @@ class DeviceAdam:
         return {**{field.name: rows[field.name] for field in LEARNED}, "m": m["small"],
                 "v": v["small"], **rest, "last_step": self._others["last_step"],
                 "coefficients": self._others["coefficients"],
-                **{name: rows.get(name) for name in _PAGED}}
+                **{name: rows.get(name) for name in PAGED}}
 
     def regrow(self, source: Array, kept: int) -> None:
         """Rearrange the moments as growth rearranged the rows, which must have caught up.

@@ -11,7 +11,8 @@ from clsplat import constants
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
-from clsplat.optimise.adam import HostArrays, corrections
+from clsplat.optimise.adam import HostArrays
+from clsplat.optimise.rates import corrections
 from clsplat.rendering.project import Gradients
 
 

@@ -2,7 +2,7 @@
 
 The number of steps is estimated again and again, from the measured time of a step at each level
 and from the steps that the schedule predicts. The budget is wall time from the start of
-`clsplat.training.loop.train`, with evaluations and files; the time of a step is that of training
+`clsplat.training.run.train`, with evaluations and files; the time of a step is that of training
 alone.
 
 Opacity resets, new levels and growth make a model worse before they make it better, so each happens
@@ -24,7 +24,8 @@ from clsplat.evaluation.views import evaluate_views, scored_at_once
 from clsplat.io.atomic import replacing
 from clsplat.options import seconds_of
 from clsplat.schedule.plan import Plan
-from clsplat.training.model import CurrentRenderer, checkpoint_bytes
+from clsplat.training.current import CurrentRenderer
+from clsplat.training.model import checkpoint_bytes
 from clsplat.training.recorder import EVALUATION_SHARE, EVALUATIONS, Clock
 from clsplat.training.session import Session
 

@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.camera import Camera
 from clsplat.densify.grow import Growth
 from clsplat.device import Array, ArraySpec, Device, Reading, pinned
 from clsplat.errors import OutOfDeviceMemory, TooFewPages
@@ -23,7 +22,6 @@ from clsplat.options import ScheduledOptions
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.gather import CHUNK_ROWS, download_rows, gather, scatter
 from clsplat.primitives.reduce import add_to
-from clsplat.rendering.pipeline import Frame, Renderer
 
 # of the device's memory; beyond it, moments are coded, and beyond that harmonics are paged: frames
 # take as much again and photos a quarter
@@ -370,25 +368,6 @@ class Model:
         if self.pages and degree and isinstance(self.adam, DeviceAdam):
             flags = self.adam.seen(self.rows, camera, numbers["before"], MARGIN)
             self.pages.require(flags, counts, ends)
-
-
-class CurrentRenderer:
-    """Draws the model of a training, which takes the place of the rows, as it is after the last
-    step."""
-
-    def __init__(self, renderer: Renderer) -> None:
-        self.renderer = renderer
-
-    def pack(self, camera: Camera, /) -> Array:
-        """See `Renderer.pack`."""
-        return self.renderer.pack(camera)
-
-    def render(self, model: Model, camera: Array, width: int, height: int, sh_degree: int, /,
-               with_depth: bool = False, *, depth_percent: int = 0) -> Frame:
-        """See `Renderer.render`."""
-        return model.within(lambda: self.renderer.render(
-            model.seen(camera), camera, width, height, sh_degree, with_depth,
-            depth_percent=depth_percent))
 
 
 def model_bytes(device: Device, sh_degree: int, count: int, engine: str) -> int:

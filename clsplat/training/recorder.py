@@ -13,7 +13,7 @@ from clsplat.errors import InputError, StopTraining
 from clsplat.evaluation.views import evaluate_views, expected_seconds
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.scores import disturbed, is_upheaval, main_key
-from clsplat.training.model import CurrentRenderer
+from clsplat.training.current import CurrentRenderer
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
 from clsplat.training.step import Measured

@@ -1,4 +1,4 @@
-"""One training step, written as the algorithm reads, and the growth that may follow it."""
+"""One training step, written as the algorithm reads."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
@@ -17,26 +17,23 @@ from clsplat.constants import (
     LACKS_PAGE,
 )
 from clsplat.densify.grow import Growth
-from clsplat.densify.round import Round
-from clsplat.densify.scores import SizedCamera, Statistics, blending_weights, taming_scores
+from clsplat.densify.scores import Statistics
 from clsplat.device import Array, Graph
 from clsplat.errors import OutOfDeviceMemory
-from clsplat.gaussians import FIELDS
 from clsplat.loss.image_loss import is_masked
-from clsplat.optimise.adam import HostArrays, learning_rates
+from clsplat.optimise.adam import HostArrays
 from clsplat.optimise.batch import BatchMean
+from clsplat.optimise.rates import learning_rates
 from clsplat.options import ScheduledOptions
 from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Gradients
-from clsplat.schedule.plan import Plan, Schedule
+from clsplat.schedule.plan import Plan
 from clsplat.training.capacity import FrameCapacity
 from clsplat.training.model import Model, Upcoming
 from clsplat.training.part import Inputs, Now, Part, TrainingSample, ViewPass
 from clsplat.training.units import COUNTS, Unit, Units
 
-RESET_OPACITY = 0.01
 AHEAD = 3  # samples: when it is asked which pages of harmonics they will want
-ScoringViews = Callable[[], list[ViewPass]]
 Measured = dict[str, Any]  # name of a part -> what its term of the loss measured in a view
 
 
@@ -301,26 +298,14 @@ class Step:
             photo if is_masked(photo) and given.sample.own_mask else None,
             any(part.needs_pose for part, _ in parts))
 
-    # --- growth
-
-    def densify(self, iteration: int, plan: Plan, schedule: Schedule,
-                scoring_views: ScoringViews, cameras: Callable[[], Iterable[SizedCamera]]
-                ) -> dict[str, int] | None:
-        """Do the round of growth and the opacity reset that follow a step; `scoring_views` returns
-        some training views, and `cameras` those of all, for a schedule that renders them. Returns
-        how many gaussians were cloned, split and pruned; None without growth."""
-        event = (self._grow(iteration, plan, schedule, scoring_views, cameras) if plan.grows
-                 else None)
-        if plan.resets_opacity:
-            self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)))
-        return event
+    # --- other levels and other rows
 
     def begin_level(self) -> None:
         """Begin a level, or another size of photos: no statistics, and other room."""
         self.statistics.clear(self.count)
-        self._choose_room(False)
+        self.choose_room(False)
 
-    def _choose_room(self, is_alike: bool) -> None:
+    def choose_room(self, is_alike: bool) -> None:
         """Choose room anew, for frames that are or are not like those so far.
 
         After growth they are: the margin of the room is more than what a round usually adds.
@@ -352,35 +337,12 @@ class Step:
         self.replace_rows(Growth(source, len(kept), 0, 0, 0, {
             name: (len(kept), values) for name, values in rows.items()}))
         self._model.adam.write(m, v, len(kept))
-        self._choose_room(True)
+        self.choose_room(True)
 
     def rows_changed(self, growth: Growth | None = None) -> None:
         """Let the parts follow a change of the rows; see `Part.rows_changed`."""
         for part in self.parts:
             part.rows_changed(self._model, growth)
-
-    def _grow(self, iteration: int, plan: Plan, schedule: Schedule,
-              scoring_views: ScoringViews, cameras: Callable[[], Iterable[SizedCamera]]
-              ) -> dict[str, int]:
-        self.release()  # what follows renders frames of other sizes
-        model, statistics = self._model, self._statistics
-        model.catch_up()
-        if model.pages:  # growth replaces them, and until then needs their memory
-            model.pages.leave()
-        self.rows_changed()
-        frozen = np.zeros(model.count, bool) if model.frozen is None else (
-            model.frozen.download() > 0)
-        rows = {field.name: model.rows[field.name].download() for field in FIELDS
-                if field.name in model.rows and not field.name.startswith("sh_")}
-        growth = schedule.grow(Round(
-            iteration, rows, self.extent, self.options, plan.prunes_large, frozen,
-            statistics.mean_gradient, lambda gradient: taming_scores(
-                self.renderer, model.rows, scoring_views(), plan.degree, self.options.ssim_weight,
-                gradient, model.seen),
-            lambda: blending_weights(self.renderer, model.rows, cameras())))
-        self.replace_rows(growth)
-        self._choose_room(True)
-        return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
 
 
 def _always(view: int, camera: Array) -> Upcoming:

@@ -13,7 +13,7 @@ from clsplat.evaluation.views import render_view
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
 from clsplat.rendering.slabs import open_model
-from clsplat.training import loop
+from clsplat.training import run as trainings
 from tests.data.tiny_training import CITY, ROOT, model_digest
 
 EXAMPLES = ROOT / "docs" / "examples"
@@ -224,7 +224,7 @@ def test_what_does_not_fit_is_said(item_device, wrong, words):
 
 def test_training_is_that_of_the_command_line(run, scene, item_device, tmp_path):
     same = RunFolder.create(tmp_path / "run")
-    loop.train(scene, resolve({}, SMALL_VALUES), item_device, same)
+    trainings.train(scene, resolve({}, SMALL_VALUES), item_device, same)
     assert (run.path / "point_cloud.ply").read_bytes() == (
         same.path / "point_cloud.ply").read_bytes()
     assert run.is_finished and run.options.iterations == 40 and len(run.metrics) > 2

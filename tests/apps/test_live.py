@@ -18,7 +18,7 @@ from clsplat.io.photos.images import read_image
 from clsplat.io.runs.run import RunFolder
 from clsplat.rendering.slabs import open_model
 from clsplat.report.model_page import view_record
-from clsplat.training.loop import train
+from clsplat.training.run import train
 from tests.apps.browser import answer_of, needs_chromium
 from tests.data.made_tree import write_tree
 from tests.data.tiny_training import LEVELLED, model_digest, options_of

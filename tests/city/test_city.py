@@ -157,7 +157,7 @@ def test_a_tree_is_drawn_as_the_model_it_replaces(copy, tmp_path, capsys, monkey
 def test_again_changes_nothing(copy, monkeypatch):
     before = model(copy)
     times = {path: path.stat().st_mtime_ns for path in copy.path.glob("blocks/*/run/*")}
-    monkeypatch.setattr(loop, "train", None)  # nothing is begun
+    monkeypatch.setattr(loop.Training, "__init__", None)  # nothing is begun
     monkeypatch.setattr(cut, "find_windows", None)  # nor cut
     city(copy.path)
     assert model(copy) == before

@@ -21,7 +21,7 @@ from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.training.interrupt import handled_interrupts
-from clsplat.training.loop import train
+from clsplat.training.run import train
 from tests.city.test_city import DEVICE, a_card, city, model
 from tests.city.test_merge import strewn
 from tests.data.tiny_training import CITY

@@ -16,7 +16,7 @@ from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
 from clsplat.report import compare
 from clsplat.report.groups import Trained, differing
-from clsplat.training.loop import train
+from clsplat.training.run import train
 from tests.data.tiny_training import LEVELLED, model_digest, options_of, resume, trained
 from tests.test_options import FIELDS, another, serving
 

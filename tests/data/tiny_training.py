@@ -10,8 +10,8 @@ from unittest.mock import patch
 from clsplat.errors import Interrupted
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
-from clsplat.training.loop import resumed as training_resumed
-from clsplat.training.loop import train
+from clsplat.training.run import resumed as training_resumed
+from clsplat.training.run import train
 
 ROOT = Path(__file__).resolve().parents[2]
 CITY = ROOT / "data_samples" / "city"

@@ -6,7 +6,8 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.constants import ADAM_EPSILON, CATCH_UP_EVERY, LAZY_TERMS, NO_ROW, SH_C0
 from clsplat.gaussians import LEARNED
-from clsplat.optimise.adam import DeviceAdam, corrections
+from clsplat.optimise.adam import DeviceAdam
+from clsplat.optimise.rates import corrections
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.cull import cull
 from clsplat.rendering.project import FieldGradients, Gradients, pack_camera

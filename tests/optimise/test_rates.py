@@ -3,8 +3,8 @@
 import pytest
 
 from clsplat.gaussians import LEARNED
-from clsplat.optimise.adam import learning_rates
 from clsplat.optimise.options import OptimiseOptions
+from clsplat.optimise.rates import learning_rates
 
 STEADY = {"sh_constant": 2.5e-3, "sh_rest": 1.25e-4, "log_scales": 5e-3, "quaternions": 1e-3}
 

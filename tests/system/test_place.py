@@ -10,7 +10,7 @@ from clsplat.georeference import Georeference
 from clsplat.io.models.ply import read_vertices
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
-from clsplat.training import loop
+from clsplat.training import run as trainings
 from tests.data.tiny_training import STILL
 
 
@@ -20,10 +20,10 @@ def test_the_run_and_its_model_know_where_they_lie(item_device, city, tmp_path):
     scene = replace(city, georeference=here).with_up([0.0, 0.0, 2.0])
     options = resolve({}, {**STILL, "iterations": 20})
     with pytest.raises(Interrupted):
-        loop.train(scene, replace(options, stop_at=10), item_device,
+        trainings.train(scene, replace(options, stop_at=10), item_device,
                    RunFolder.create(tmp_path / "stopped"))
-    loop.resumed(city, options, item_device, RunFolder.open(tmp_path / "stopped")).take()
-    loop.train(scene, options, item_device, RunFolder.create(tmp_path / "whole"))
+    trainings.resumed(city, options, item_device, RunFolder.open(tmp_path / "stopped")).take()
+    trainings.train(scene, options, item_device, RunFolder.create(tmp_path / "whole"))
     stopped, whole = (Run.open(tmp_path / name) for name in ("stopped", "whole"))
     assert stopped.folder.model_path.read_bytes() == whole.folder.model_path.read_bytes()
     assert whole.georeference == here and whole.up.tolist() == [0, 0, 1]

@@ -5,7 +5,7 @@ import pytest
 from clsplat.errors import Interrupted
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
-from clsplat.training import budget, loop
+from clsplat.training import budget
 from tests.data.tiny_training import EVENTFUL, LEVELLED, records, trained
 
 
@@ -19,9 +19,9 @@ def test_a_time_budget_is_kept_across_a_stop(item_device, city, tmp_path, option
     options = {**options, "time_budget": "12s"}
     run = RunFolder.create(tmp_path / "run")
     with pytest.raises(Interrupted):
-        loop.train(city, resolve({}, {**options, "stop_at": 90}), item_device, run)
+        trainings.train(city, resolve({}, {**options, "stop_at": 90}), item_device, run)
     before = run.load_checkpoint()[1]
-    loop.resumed(city, resolve({}, options), item_device, RunFolder.open(run.path)).take()
+    trainings.resumed(city, resolve({}, options), item_device, RunFolder.open(run.path)).take()
     last = records(run, "eval")[-1]
     assert 12 * 0.6 < last["wall_seconds"] < 12 * 1.2
     assert last["wall_seconds"] > before["wall_seconds"] and last["level"] == 1.0

@@ -9,7 +9,7 @@ import pytest
 from clsplat.io.models.ply import read_ply
 from clsplat.io.runs.run import RunFolder
 from clsplat.loss.exposure import Exposures
-from clsplat.training import loop
+from clsplat.training import run as trainings
 from clsplat.training.frequency import AXES, VARIANTS
 from clsplat.training.photos import epoch_order
 from clsplat.training.progress import SilentProgress
@@ -175,7 +175,7 @@ def test_progress_is_told(item_device, city, tmp_path):
             super().phase(text)
             self.phases.append(text)
 
-    loop.train(city, options_of(iterations=60, **STILL), item_device,
+    trainings.train(city, options_of(iterations=60, **STILL), item_device,
                RunFolder.create(tmp_path / "run"), Progress())
     assert [values["iteration"] for values in Progress.told] == [1, 50]
     assert list(dict.fromkeys(Progress.phases)) == [

@@ -8,7 +8,8 @@ from clsplat.errors import InputError
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
-from clsplat.training import loop, recorder, step
+from clsplat.training import loop, recorder
+from clsplat.training import run as trainings
 from clsplat.training.parts import image_term
 from clsplat.training.progress import SilentProgress
 from tests.data.tiny_model import write_scene
@@ -43,10 +44,10 @@ def train(item_device, often, scene, tmp_path):
             "densify_from": 1000, "checkpoint_every": EVERY, **changes})
         if resumes:
             run = RunFolder.open(tmp_path / folder)
-            loop.resumed(scene, options, item_device, run, Progress()).take()
+            trainings.resumed(scene, options, item_device, run, Progress()).take()
         else:
             run = RunFolder.create(tmp_path / folder)
-            loop.train(scene, options, item_device, run, Progress())
+            trainings.train(scene, options, item_device, run, Progress())
         return run
 
     messages = train.messages = []
@@ -115,15 +116,15 @@ def test_too_many_end_the_run_and_keep_the_last_checkpoint(train, poison):
 @pytest.mark.slow
 def test_spoilt_parameters_are_not_saved(train, monkeypatch):
     """A nan that came from elsewhere, behind step 15."""
-    follow = step.Step.densify
+    follow = loop.densify
 
-    def spoil(self, iteration, *arguments):
+    def spoil(step, iteration, *arguments):
         if iteration == 15:
-            self.model.rows["log_scales"].write(np.full((1, 3), np.nan), first_row=2)
-        return follow(self, iteration, *arguments)
+            step.model.rows["log_scales"].write(np.full((1, 3), np.nan), first_row=2)
+        return follow(step, iteration, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(step.Step, "densify", spoil)
+        patch.setattr(loop, "densify", spoil)
         with pytest.raises(InputError, match="run: row.log_scales at step 20: not finite; the "
                                              "last checkpoint is kept: ") as caught:
             train()

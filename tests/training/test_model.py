@@ -13,6 +13,7 @@ from clsplat.primitives import gather
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.plan import Plan, SceneFacts
+from clsplat.training.growth import densify
 from clsplat.training.model import Model
 from clsplat.training.part import TrainingSample
 from clsplat.training.parts import image_term
@@ -265,7 +266,7 @@ def follow(device, gradients, scales, opacities=0.5, fields=LEARNED, **changes):
     step.statistics.seen_count.write(np.full(given.count, 2, np.uint32))
     facts = SceneFacts((640, 480), given.count, 1.0, photos=None, pixels=10**8)
     schedule = Constant(options, facts)
-    event = step.densify(7, GROWS, schedule, scoring_views=None, cameras=None)
+    event = densify(step, 7, GROWS, schedule, scoring_views=None, cameras=None)
     assert len(step.statistics.grad_norm_sum) == step.model.count
     assert not step.statistics.grad_norm_sum.download().any()
     return event, step.model, given

@@ -12,7 +12,8 @@ from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule.plan import Plan
 from clsplat.training import model as models
-from clsplat.training.model import CurrentRenderer, Model
+from clsplat.training.current import CurrentRenderer
+from clsplat.training.model import Model
 from clsplat.training.part import TrainingSample
 from clsplat.training.parts.image_term import ImageTerm
 from clsplat.training.step import Step

@@ -16,11 +16,11 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule.plan import Plan
-from clsplat.training.loop import train
 from clsplat.training.model import Model
 from clsplat.training.part import FrameGradient, Part, TrainingSample, overriding
 from clsplat.training.parts import PARTS
 from clsplat.training.parts.image_term import ImageTerm
+from clsplat.training.run import train
 from clsplat.training.step import Step
 from tests import cases
 from tests.data.tiny_training import CITY, STILL, model_digest, options_of, records, resume

@@ -5,9 +5,7 @@ import weakref
 import numpy as np
 import pytest
 
-from clsplat.training import capacity, photos
-from clsplat.training import step as steps
-from clsplat.training.step import Step
+from clsplat.training import capacity, growth, loop, photos
 from tests.city.test_block import block_of, trained_block
 from tests.data.tiny_training import LEVELLED, model_digest, records, trained
 
@@ -110,19 +108,19 @@ def test_steps_that_are_pending_keep_few_photos(item_device, city, tmp_path, mon
 def test_growth_decides_by_rows_that_have_caught_up(item_device, city, tmp_path, monkeypatch):
     """Adam leaves rows behind that no view sees."""
     current, behind = [], []
-    made, densify = steps.Round, Step.densify
+    made, densify = growth.Round, growth.densify
 
     def noted(*arguments):
         current.append(models[-1].adam.is_current)
         return made(*arguments)
 
-    def before(own, *arguments):
-        models.append(own._model)
-        behind.append(not own._model.adam.is_current)
-        return densify(own, *arguments)
+    def before(step, *arguments):
+        models.append(step._model)
+        behind.append(not step._model.adam.is_current)
+        return densify(step, *arguments)
 
     models = []
-    monkeypatch.setattr(steps, "Round", noted)
-    monkeypatch.setattr(Step, "densify", before)
+    monkeypatch.setattr(growth, "Round", noted)
+    monkeypatch.setattr(loop, "densify", before)
     trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 35})
     assert len(current) > 1 and all(current) and any(behind)

@@ -14,13 +14,13 @@ from clsplat.io.georeference.adjustment import Located, adjust, locate, residual
 from clsplat.io.georeference.control_points import ControlPoints
 from clsplat.io.georeference.crs import UTM_EPSG, heights_of, horizontal, map_positions, outside
 from clsplat.io.georeference.priors import PriorEffect, adjust_to_positions, centres_of, rms
+from clsplat.io.georeference.vertical import vertical_of
 from clsplat.io.photos.metadata import PhotoMetadata
 from clsplat.placement import plausible
 from clsplat.placement.alignment import LEAST_POSITIONS, Alignment, Similarity
 from clsplat.placement.plausible import Guess, NotGeoreferenced, TooFewPositions, believed, doubts
-from clsplat.placement.up import UP, Vertical, gimbal_up
+from clsplat.placement.up import UP, Vertical
 
-LEAST_GIMBALS = 0.5  # share of the photos whose gimbals must be known
 UNKNOWN_STD = 3.0  # metres, of GPS that does not state it, among photos that do
 MOST_RTK = 0.5  # share of the photos with RTK from which on it decides where the scene lies
 RTK_STD = 0.1  # metres; positions that state less have errors of their own, others drift together
@@ -69,7 +69,7 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
         `adjusts` the reconstruction may have changed, and is of no use.
     """
     images, points = _content(reconstruction)
-    known_up = _vertical(images, points, metadata, up)
+    known_up = vertical_of(images, points, metadata, up)
     located, lost = locate(reconstruction, control.points)
     used = [item for item in located if not item.point.is_check]
     measured = (_by_control(used, lost, control) if control.points else
@@ -114,7 +114,7 @@ def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, Photo
     why : it has no place.
     """
     target = np.array([0.0, -1.0, 0.0])
-    up = _vertical(*_content(reconstruction), metadata, None).up
+    up = vertical_of(*_content(reconstruction), metadata, None).up
     rotation = scipy.spatial.transform.Rotation.align_vectors(target, up)[0].as_matrix()
     reconstruction.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
     notes = (f"not georeferenced: {why}",)
@@ -332,34 +332,3 @@ def _errors(rows: Sequence[Residual]) -> tuple[tuple[float, float], str]:
     ground = float(np.hypot(east, north))
     return (ground, up), (f"residual {ground:.3f} m along the ground, {up:.3f} m in height, "
                           f"{pixels:.1f} pixels in the photos")
-
-
-def _vertical(images: Sequence[Any], points: NDArray[np.float64],
-              metadata: Mapping[str, PhotoMetadata], given: ArrayLike | None) -> Vertical:
-    """What the user, the gimbals, or else the cameras and points show of the vertical."""
-    if given is not None:
-        return Vertical.measured(given)
-    known = [metadata.get(image.name) for image in images]
-    rotations = np.array([_upright(*pair) for pair in zip(images, known)])
-    gimbals = [(rotation, photo.gimbal_pitch, photo.gimbal_roll)
-               for rotation, photo in zip(rotations, known)
-               if photo is not None and photo.orientation == 1
-               and photo.gimbal_pitch is not None and photo.gimbal_roll is not None]
-    if gimbals and len(gimbals) >= LEAST_GIMBALS * len(images):
-        by_gimbals = gimbal_up(*(np.array(values) for values in zip(*gimbals)))
-        if by_gimbals is not None:
-            return Vertical.measured(by_gimbals)
-    return Vertical.by_cameras(rotations, points)
-
-
-def _upright(image: Any, known: PhotoMetadata | None) -> NDArray[np.float64]:
-    """The rotation float64[3, 3] from the world to the camera of the photo as EXIF turns it."""
-    rotation: NDArray[np.float64] = image.cam_from_world().rotation.matrix()
-    if known is None:
-        return rotation
-    # `clsplat sfm` turns pixels and camera itself, so the original's metadata no longer hold
-    is_turned = (image.camera.width > image.camera.height) != (known.width > known.height)
-    degrees = 0 if is_turned else 90 * known.quarter_turns
-    turn: NDArray[np.float64] = scipy.spatial.transform.Rotation.from_euler(
-        "z", degrees, degrees=True).as_matrix()
-    return turn @ rotation
