@@ -6,6 +6,7 @@ from clsplat.errors import Interrupted
 from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
 from clsplat.training import budget
+from clsplat.training import run as trainings
 from tests.data.tiny_training import EVENTFUL, LEVELLED, records, trained
 
 
