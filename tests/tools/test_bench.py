@@ -8,7 +8,8 @@ from click.testing import CliRunner
 from clsplat.cli.main import main
 from tests.data.tiny_training import CITY
 from tools.bench.__main__ import main as tool
-from tools.bench.families import FAMILIES, counts
+from tools.bench.families import FAMILIES
+from tools.bench.report import counts
 
 KEYS = {"family", "variant", "form", "device", "driver", "size", "median_ms", "quartiles_ms",
         "repeats"}

@@ -8,8 +8,9 @@ Without FAMILY, lists all. `render` is a whole frame and its adjoint.
 import argparse
 
 from clsplat.device import choose_device
-from tools.bench.families import FAMILIES, Bench, counts, time_family
+from tools.bench.families import FAMILIES, time_family
 from tools.bench.render import time_frames
+from tools.bench.report import Bench, counts
 
 
 def main(argv=None):

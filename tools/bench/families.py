@@ -1,31 +1,22 @@
-"""The benchmarks of single kernel families, on the first view of the made city.
+"""The benchmarks of single kernel families, on the first view of the made city; those that compare
+photos are in photo_families.py.
 
 A family is a function that gives what to time, by the name of the variant.
 """
 
 import itertools
-import json
-import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
-import scipy
 
-from clsplat.camera import Camera
 from clsplat.cities import choose as choosing
-from clsplat.constants import CATCH_UP_EVERY, DESCRIPTOR_SIZE, LAZY_TERMS, PAGE_ROWS, POSE_REALS
-from clsplat.device import Device
+from clsplat.constants import CATCH_UP_EVERY, LAZY_TERMS, PAGE_ROWS, POSE_REALS
 from clsplat.gaussians import LEARNED
 from clsplat.loss.depth_map import compare_depth
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import image_loss as loss_and_gradient
 from clsplat.loss.regularise import regularise as regularise_rows
-from clsplat.loss.reproject import pack_pairs
-from clsplat.loss.reproject import reproject as reproject_depth
-from clsplat.mesh.signed_distance import Volume
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.noise import add_noise
@@ -47,64 +38,14 @@ from clsplat.rendering.cull import cull as cull_rows
 from clsplat.rendering.project import pack_camera
 from clsplat.response import Lenses
 from clsplat.scene import Scene, View
-from clsplat.sfm import match as matching
-from clsplat.sfm import two_views
-from clsplat.sfm.reconstruct import SfmOptions
-from clsplat.sfm.sift import Sift
-from clsplat.stereo import dense_points
-from clsplat.stereo import sweep as sweeping
 from clsplat.training.frequency import scene_frequency
-from tools.bench.timing import in_turn, spread
+from tools.bench.photo_families import match, reproject, sift, signed_distance, sweep
+from tools.bench.report import Bench, Cases
 from tools.bench.workloads import DEFINES, CityFrame, ring_camera
 from tools.bench.workloads import city as made_city
 
 DEGREE = 3
-FEATURES = SfmOptions.max_features
 RATES = {field.name: field.rate for field in LEARNED}
-
-MULTIPLES = {"": 1, "k": 1_000, "M": 1_000_000}
-Cases = Mapping[str, Callable[[], object]]
-
-
-def counts(text: str) -> tuple[int, ...]:
-    """The numbers of a list, such as (200000, 1000000) for "200k,1M"."""
-    parts = [re.fullmatch(r"(\d+(?:\.\d+)?)([kM]?)", part) for part in text.split(",")]
-    if not all(parts):
-        raise ValueError("not a list of counts such as 200k,1M,4M")
-    return tuple(round(float(part[1]) * MULTIPLES[part[2]]) for part in parts)
-
-
-@dataclass(frozen=True)
-class Bench:
-    """What a benchmark runs with, and its reports."""
-
-    device: Device
-    gaussians: tuple[int, ...]
-    repeats: int
-    as_json: bool
-
-    def report(self, family: str, variant: str, function: Callable[[], object],
-               size: Mapping[str, Any], task: Any = None) -> None:
-        """Time a function of the device, or of a task that finishes, and print the result."""
-        times = spread(in_turn([(task or self.device, function)], self.repeats)[0])
-        if self.as_json:
-            print(json.dumps({
-                "family": family, "variant": variant, "form": self.device.form,
-                "device": self.device.name, "driver": self.device.handle.driver_version,
-                "size": size, **times}), flush=True)
-            return
-        low, high = times["quartiles_ms"]
-        print(f"{family:12} {variant:24} {times['median_ms']:9.3f} ms  ({low:.3f} to {high:.3f})  "
-              + ", ".join(f"{what} {count:,}" for what, count in size.items()), flush=True)
-
-
-def time_family(family: str, bench: Bench) -> None:
-    """Time all variants of a family."""
-    for count in bench.gaussians:
-        city = CityFrame(bench.device, count)
-        for variant, function in FAMILIES[family](city).items():
-            bench.report(family, variant, function, city.size)
-
 
 def adam(city: CityFrame) -> Cases:
     """A step, and how rows that a view sees catch up with 20 steps that they missed."""
@@ -293,30 +234,6 @@ def regularise(city: CityFrame) -> Cases:
     return {"of a view": partial(regularise_rows, city.rows, city.gradients(), 0.01, 0.01)}
 
 
-def reproject(city: CityFrame) -> Cases:
-    """Reprojection of a rendered depth into a source view."""
-    device, size = city.device, city.frame.size
-    photo, neighbour = (device.upload((255 * city.plane(seed, 3)).astype(np.uint8))
-                        for seed in (0, 1))
-    # about as far as the middle of the city
-    depth = device.upload(94 + 2 * city.plane())
-    transmittance = device.upload(np.full(depth.shape, 0.25))
-    geometries = pack_pairs(device, [(ring_camera(0, size), ring_camera(0.1, size))])
-    return {"value and gradient": partial(
-        reproject_depth, device, depth, transmittance, photo, neighbour, geometries,
-        device.upload(np.eye(3, 4).reshape(1, 12)), 0, 1.0)}
-
-
-def signed_distance(city: CityFrame) -> Cases:
-    """A view added to bricks of a volume around the middle of the city."""
-    camera, plane = ring_camera(0, city.frame.size), city.device.upload(125 + city.plane())
-    bricks = np.array(list(np.ndindex(6, 6, 2))) - (3, 3, 0)
-    volume = Volume(city.device, bricks, 0.15, 0.6)
-    return {f"{len(bricks)} bricks": partial(
-        volume.add, np.arange(len(bricks)), camera, 0.01, plane, plane,
-        city.frame.blended.transmittance, city.frame.image)}
-
-
 def ray_depth(city: CityFrame) -> Cases:
     """Numbers in place of the splats' depths, and the depths of all pixels by random numbers of
     splats."""
@@ -337,46 +254,16 @@ def sort(city: CityFrame) -> Cases:
     return {"depths": partial(stable_sort, city.device, depths, frame.counts)}
 
 
-def sweep(city: CityFrame) -> Cases:
-    """A plane sweep of one photo over others, and the confirmation of its depths by these, at a
-    quarter of the size, about as trainings compare photos."""
-    width, height = (side // 4 for side in city.frame.size)
-    sources = dense_points.SOURCES
-    photos = list(np.random.default_rng(0).uniform(0, 1, (1 + sources, height, width)))
-    cameras = [Camera(width, height, (width, width), (width / 2, height / 2), np.eye(3),
-                      np.array([-0.1 * number, 0, 0])) for number in range(len(photos))]
-    depths = [np.full((height, width), 0.5) for _ in photos]
-    by_photos, by_depths = (sweeping.Compared.of(
-        *sweeping.device_images(city.device, images), cameras, 0, range(1, len(photos)))
-        for images in (photos, depths))
-    return {f"{sources} sources": partial(sweeping.sweep, by_photos, (0.1, 1.0),
-                                          dense_points.PLANES),
-            f"confirm, {sources} sources": partial(sweeping.confirm, by_depths,
-                                                   dense_points.SAME_DEPTH)}
-
-
-def sift(city: CityFrame) -> Cases:
-    """The features of a made photo, at the size at which those of photos are searched."""
-    noise = np.random.default_rng(0).normal(size=(1200, 1600, 3))
-    blurred = scipy.ndimage.gaussian_filter(noise, (2, 2, 0))
-    pixels = np.clip(128 + 40 * blurred / blurred.std(), 0, 255).astype(np.uint8)
-    return {"1600x1200": partial(Sift(city.device, FEATURES).features, pixels, 1600, 1200)}
-
-
-def match(city: CityFrame) -> Cases:
-    """A pair of photos: the largest features all with all, and all along epipolar lines."""
-    rng = np.random.default_rng(0)
-    described = matching.Described.of(
-        city.device, list(rng.integers(0, 60, (2, FEATURES, DESCRIPTOR_SIZE), np.uint8)))
-    points = city.device.upload(rng.uniform(-0.7, 0.7, (2, 2, FEATURES)))
-    pairs, rows = np.array([[0, 1]]), [0, 0, 0, 0, 0, -1, 0, 1, 0, 0, 0.003]
-    geometry = np.array([[rows], [rows]], np.float64)
-    return {f"all of {two_views.FEW}": partial(matching.nearest, described, pairs, two_views.FEW),
-            f"{FEATURES} along lines": partial(matching.follow, described, points, pairs, geometry)}
-
-
 FAMILIES: dict[str, Callable[[CityFrame], Cases]] = {
     function.__name__: function for function in (
         adam, batch, bin, blend, choose, compact, contribution, cull, depth_map, exposure,
         frequency, gather, image_loss, match, noise, pages, pose, project, ray_depth, reduce,
         regularise, reproject, sift, signed_distance, sort, sweep)}
+
+
+def time_family(family: str, bench: Bench) -> None:
+    """Time all variants of a family."""
+    for count in bench.gaussians:
+        city = CityFrame(bench.device, count)
+        for variant, function in FAMILIES[family](city).items():
+            bench.report(family, variant, function, city.size)

@@ -14,7 +14,7 @@ from clsplat.device import Device, Graph
 from clsplat.errors import DeviceError
 from clsplat.gaussians import Gaussians
 from clsplat.rendering.pipeline import Renderer, Room
-from tools.bench.families import Bench
+from tools.bench.report import Bench
 from tools.bench.workloads import city
 
 

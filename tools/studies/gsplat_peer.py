@@ -14,8 +14,8 @@ import numpy as np
 import torch
 
 from clsplat.device import choose_device
-from tools.bench.families import counts
 from tools.bench.render import Clsplat
+from tools.bench.report import counts
 from tools.bench.timing import in_turn, spread
 from tools.bench.workloads import city
 

@@ -25,7 +25,7 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.rendering import pipeline
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Gradients
-from tools.bench.families import counts
+from tools.bench.report import counts
 from tools.bench.timing import in_turn, spread
 from tools.bench.workloads import city
 
