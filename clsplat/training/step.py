@@ -133,10 +133,10 @@ class Step:
         taken = range((iteration - 1) * views + 1, iteration * views + 1)
         for slot, sample in zip(range(views), samples):
             alone = _always(sample.view, sample.camera)
-            given = _Given(plan, sample, numbers, slot, [
-                (part, found) for part in self.parts
-                if (found := part.inputs(now, sample)) is not None], partial(
-                    self._model.fetch, taken, plan.degree, upcoming or alone))
+            parts = [(part, found) for part in self.parts
+                     if (found := part.inputs(now, sample)) is not None]
+            fetch = partial(self._model.fetch, taken, plan.degree, upcoming or alone)
+            given = _Given(plan, sample, numbers, slot, parts, fetch)
 
             def work(given: _Given = given) -> None:
                 given.fetch()
@@ -151,8 +151,8 @@ class Step:
 
     def now(self, iteration: int, plan: Plan) -> Now:
         """A step, for the inputs of parts."""
-        return Now(iteration, plan, (iteration - 1) / self.options.iterations,
-                   learning_rates(plan.decay, self.extent, self.pixel, self.options))
+        rates = learning_rates(plan.decay, self.extent, self.pixel, self.options)
+        return Now(iteration, plan, (iteration - 1) / self.options.iterations, rates)
 
     def values(self, measured: list[Measured]) -> dict[str, float]:
         """The values of the terms of the loss, from what `run` returned; waits."""
@@ -177,8 +177,8 @@ class Step:
                 view: int | None = None, counts: Array | None = None) -> ViewPass:
         """The pass of a sample, from the camera that the given parts correct; `view` and `counts`
         are inputs of a recording instead of `sample.view` and those of all units."""
-        work = ViewPass(sample.view if view is None else view, sample.camera, sample.camera,
-                        sample.photo, self._model.rows, counts or self.units.counts,
+        view, counts = sample.view if view is None else view, counts or self.units.counts
+        work = ViewPass(view, sample.camera, sample.camera, sample.photo, self._model.rows, counts,
                         self._model.frozen)
         for part, own in parts:
             part.camera(work, own)
