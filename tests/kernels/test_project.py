@@ -5,6 +5,7 @@ import functools
 import numpy as np
 import pytest
 
+from clsplat.constants import NO_ROW
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering.bin import bin_splats
@@ -48,7 +49,8 @@ def many_pairs_each(device, first):
 class Projected:
     """A case through cull, project and its adjoint; everything downloaded, by row."""
 
-    def __init__(self, device, case, antialiased=False, with_depth=True, splat_grads=one_pair_each):
+    def __init__(self, device, case, antialiased=False, with_depth=True, splat_grads=one_pair_each,
+                 with_pose=False):
         defines = (("SH_REST", case["rows"]["sh_rest"].shape[1]), ("ANTIALIASED", int(antialiased)))
         rows = chain.upload_rows(device, case["rows"])
         camera = pack_camera(device, chain.camera_of(case), case["near"])
@@ -63,7 +65,8 @@ class Projected:
         self.skipped = device.zeros(1, np.uint32)
         gradients = project_adjoint(
             device, rows, seen, counts, camera, case["degree"], defines,
-            splat_grads(device, self.sums), self.skipped)
+            splat_grads(device, self.sums), self.skipped, with_pose=with_pose)
+        self.pose_terms = gradients.pose_terms.download() if with_pose else None
         self.active, self.grad_means = gradients.rows.download(), gradients.means.download()
         self.gradients = {}
         for name, values in case["rows"].items():
@@ -120,6 +123,20 @@ def test_counts_around_the_group_size(device):
 def test_without_the_depth_sum_nothing_flows_to_depth(device):
     """Nine sums a row instead of ten, read with the right stride."""
     check(device, cases.gaussians("degree_1", seed=1), False, "nine sums", with_depth=False)
+
+
+def test_any_sum_that_is_not_finite_leaves_its_row_and_the_pose_alone(float_device):
+    """The sum of each column is infinite of one splat."""
+    def spoilt(device, sums):
+        np.fill_diagonal(sums, np.inf)
+        return one_pair_each(device, sums)
+
+    case = cases.gaussians("degree_0", count=70)
+    actual = Projected(float_device, case, splat_grads=spoilt, with_pose=True)
+    columns = actual.sums.shape[1]
+    assert (actual.active[:columns] == NO_ROW).all() and actual.skipped.download()[0] == columns
+    assert np.array_equal(actual.active[columns:], actual.visible[columns:])
+    assert not actual.pose_terms[:columns].any() and actual.pose_terms[columns:].all()
 
 
 @pytest.mark.parametrize("with_depth", [True, False])

@@ -35,10 +35,10 @@ MEMORY = "Scalar spills, scratch and local memory"
 NOTES = {
     REGISTERS: "Vector registers of a lane / waves, and in brackets vector registers that were "
     "spilled (of sm and of Intel, bytes of a lane). Waves are those that run at a time on a SIMD "
-    "(gfx), or warps on a multiprocessor (sm), as registers and local memory allow; of Intel, which has tgllp, acm-g10 and bmg, they "
-    "are lanes of a thread, which the compiler makes fewer where its 128 registers do not suffice. "
-    "Of several builds of a kernel, the worst of each number. All programs are also SPIR-V that "
-    "spirv-val finds valid, in both forms.",
+    "(gfx), or warps on a multiprocessor (sm), as registers and local memory allow; of Intel, which "
+    "has tgllp, acm-g10 and bmg, they are lanes of a thread, which the compiler makes fewer where "
+    "its 128 registers do not suffice. Of several builds of a kernel, the worst of each number. All "
+    "programs are also SPIR-V that spirv-val finds valid, in both forms.",
     MEMORY: "Scalar registers spilled (gfx alone) / bytes of scratch of a lane / bytes of local "
     "memory of a group, the worst of each of all builds; 0 / 0 / 0 is left out.",
 }
