@@ -46,6 +46,7 @@ def cuts(tiles_x, tiles_y):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name, with_depth", [(SPREAD, True), (SPREAD, False), ("ragged", True)])
+@pytest.mark.one_in(4)
 def test_however_a_frame_is_cut_its_bytes_are_the_same(device, monkeypatch, name, with_depth):
     case = cases.gaussians(name)
     _, expected = results(device, case, with_depth)

@@ -136,6 +136,7 @@ def test_the_same_bytes_every_time_and_for_every_group_size(device, monkeypatch)
 
 
 @pytest.mark.slow
+@pytest.mark.one_in(2)
 def test_the_gradient_by_the_pose_agrees_with_differences(double_device):
     case = cases.gaussians("plain")
     renderer, rows, frame = chain.render(double_device, case, smooth_cutoff=True)
