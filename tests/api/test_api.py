@@ -155,6 +155,7 @@ def test_features_are_blended_like_colours_and_have_gradients(item_device):
 
 @pytest.mark.slow  # double-precision kernels take long to compile
 @pytest.mark.parametrize("depth", [False, True])
+@pytest.mark.one_in(3)
 def test_backward_is_the_derivative_of_forward(double_device, depth):
     model = blob(3)  # each covers the whole image, for its border would be a step
     model.rows["log_scales"][:] = np.log((2.0, 1.5, 1.8))

@@ -242,6 +242,7 @@ def test_photos_are_listed_drawn_and_laid_over_the_picture(tmp_path, city):
 @pytest.mark.slow
 @needs_chromium
 @pytest.mark.parametrize("still", [False, True], ids=["motion", "reduced motion"])
+@pytest.mark.one_in(2)
 def test_views_are_kept_and_linked(tmp_path, city, still):
     text = page_of(tmp_path, city)
     asked = ("<script>matchMedia = () => ({ matches: true });</script>" if still else "")

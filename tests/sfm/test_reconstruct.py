@@ -153,11 +153,14 @@ def copied_city(folder, count=12):
 
 
 @pytest.mark.slow
-def test_a_killed_reconstruction_continues_and_ends_in_metres(tmp_path):
+@pytest.mark.parametrize("kills", [(".sfm/global",), pytest.param(
+    (".sfm/database.db", ".sfm/global", ".sfm/triangulation", "images"),
+    marks=pytest.mark.nightly)], ids=len)
+def test_a_killed_reconstruction_continues_and_ends_in_metres(tmp_path, kills):
     truth = copied_city(tmp_path / "in")
     command = [sys.executable, "-m", "clsplat", "sfm", str(tmp_path / "in"), "-o",
                str(tmp_path / "out")]
-    for waited_for in (".sfm/database.db", ".sfm/global", ".sfm/triangulation", "images"):
+    for waited_for in kills:
         process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
         while not (tmp_path / "out" / waited_for).exists():
             assert process.poll() is None
