@@ -31,6 +31,7 @@ def test_a_small_scene(device):
 
 
 @pytest.mark.slow
+@pytest.mark.one_in(2)
 def test_features_that_are_colours_make_the_same_frame(device):
     """Of degree 0 over black: the image, the gradients by shapes, also in bands, and those by the
     features, which are those by the harmonics but for their factor."""
