@@ -178,6 +178,16 @@ def levelled(once, item_device, city):
         folder, city, item_device, **LEVELLED)))
 
 
+@pytest.fixture(scope="session")
+def eventful(once, item_device, city):
+    """The same of a training with the options EVENTFUL, and an evaluation every 50 steps."""
+    from clsplat.io.runs.run import RunFolder
+    from tests.data.tiny_training import trained
+
+    return RunFolder.open(once("eventful", lambda folder: trained(
+        folder, city, item_device, eval_every=50)))
+
+
 @pytest.fixture
 def device(request, opened):
     return _open(request, opened)

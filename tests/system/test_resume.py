@@ -37,32 +37,26 @@ def history(run):
             for record in run.records() if record["event"] != "time"]
 
 
-@pytest.fixture(scope="module")
-def whole(item_device, city, tmp_path_factory):
-    """A run that nothing stopped."""
-    return trained(tmp_path_factory.mktemp("whole") / "run", city, item_device, eval_every=50)
-
-
 @pytest.mark.slow
-def test_evaluations_and_checkpoints_change_nothing(item_device, city, tmp_path, whole):
+def test_evaluations_and_checkpoints_change_nothing(item_device, city, tmp_path, eventful):
     busy = trained(tmp_path / "run", city, item_device, eval_every=37, checkpoint_every=43)
-    assert model_digest(busy) == model_digest(whole)
+    assert model_digest(busy) == model_digest(eventful)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stops", [(1, 40, 41, 51), (150,)], ids=str)
-def test_stopped_and_resumed(item_device, city, tmp_path, whole, stops):
+def test_stopped_and_resumed(item_device, city, tmp_path, eventful, stops):
     """Between rounds of growth, right before and after one and a reset, and at the end."""
     options = {"eval_every": 50}
     run = trained(tmp_path / "run", city, item_device, **options, stop_at=stops[0])
     for stop in (*stops[1:], 0):
         resumed(run, city, item_device, **options, stop_at=stop)
-    assert model_digest(run) == model_digest(whole)
-    assert history(run) == history(whole)
+    assert model_digest(run) == model_digest(eventful)
+    assert history(run) == history(eventful)
 
 
 @pytest.mark.slow
-def test_crashed_and_resumed(item_device, city, tmp_path, whole, monkeypatch):
+def test_crashed_and_resumed(item_device, city, tmp_path, eventful, monkeypatch):
     """Steps after the last checkpoint are taken again, and recorded once."""
     take = Step.run
 
@@ -78,8 +72,8 @@ def test_crashed_and_resumed(item_device, city, tmp_path, whole, monkeypatch):
     assert [(record["event"], record["iteration"]) for record in run.records()][-4:] == [
         ("eval", 100), ("step", 100), ("grow", 101), ("reset", 101)]
     resume(city, options_of(eval_every=50, checkpoint_every=60), item_device, run)
-    assert model_digest(run) == model_digest(whole)
-    assert history(run) == history(whole)
+    assert model_digest(run) == model_digest(eventful)
+    assert history(run) == history(eventful)
 
 
 @pytest.mark.slow
@@ -170,7 +164,7 @@ def test_a_broken_training_keeps_its_checkpoint(item_device, city, tmp_path, mon
 
 @pytest.mark.slow
 def test_a_model_that_cannot_be_written_is_written_later(item_device, city, tmp_path, monkeypatch,
-                                                         whole):
+                                                         eventful):
     """A thread writes it during the last evaluation; its error ends the run."""
     def full(*_):
         raise InputError("the disk is full")
@@ -180,7 +174,7 @@ def test_a_model_that_cannot_be_written_is_written_later(item_device, city, tmp_
         with pytest.raises(InputError, match="the disk is full"):
             trained(tmp_path / "run", city, item_device, eval_every=50)
     run = resumed(RunFolder(tmp_path / "run"), city, item_device, eval_every=50)
-    assert model_digest(run) == model_digest(whole) and history(run) == history(whole)
+    assert model_digest(run) == model_digest(eventful) and history(run) == history(eventful)
 
 
 SLOW = {**LEVELLED, "iterations": 200, "reset_every": 80, "checkpoint_every": 10}
