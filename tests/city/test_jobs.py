@@ -279,7 +279,7 @@ def test_jobs_are_spread_over_workers_and_failures_tried_again(dask, tmp_path):
     for resources in ("device=1", "device=1", ""):
         dask.start_worker(resources=resources)
     assert eventually(lambda: len(dask_workers(dask)) == 3)
-    outcomes = on_cluster(dask, some_jobs(tmp_path, 8, failures=1, steps=8))
+    outcomes = on_cluster(dask, some_jobs(tmp_path, 4, failures=1, steps=8))
     assert all(outcome.ok and outcome.tries == 2 and outcome.value == 8 for outcome in outcomes)
     assert all(len(lines(outcome.job, ENDS)) == 1 for outcome in outcomes)
     assert len({outcome.worker for outcome in outcomes}) == 2  # not the one without a device

@@ -64,7 +64,7 @@ def test_many_steps(float_device, city, tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("changes", [LEVELLED, TAMING, MCMC],
                          ids=lambda changes: changes["schedule"])
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(3)
 def test_the_whole_method(item_device, city, tmp_path, levelled, changes):
     """Levels, exposures, adjacent photos, scores, relocation and random steps."""
     first = model_digest(levelled) if changes is LEVELLED else digest(
