@@ -181,7 +181,7 @@ def test_a_browser_draws_what_we_draw(tmp_path, item_device, city, degree, chang
 @pytest.mark.slow
 @needs_chromium
 def test_movement_keeps_the_world_upright(tmp_path, city):
-    model = colourful(city, 500)
+    model = colourful(city, 150)
     model.opacity_logits[:] = 5
     model.log_scales[:] += 3  # something solid to double-click on
     text = written(tmp_path / "page.html", city, model)
