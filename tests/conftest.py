@@ -1,7 +1,8 @@
 """Opens the OpenCL devices of the tests: each platform in both kernel forms and both precisions.
 
 A test asks for `device` (all four), `float_device`, `double_device` (both forms) or `group_device`;
-where it takes both precisions, the double ones are slow tests.
+where it takes both precisions, the double ones are nightly, and slow tests where it is marked
+`double`.
 CLSPLAT_TEST_DEVICES chooses the platforms: unset, PoCL, else the first that works; a part of a
 platform's or device's name; or "all". A device is opened once and shared, so whatever a test
 changes of it, it changes with monkeypatch.
@@ -37,9 +38,11 @@ def pytest_generate_tests(metafunc):
             combinations = [(entry, form, precision) for entry in _entries()
                             for form in forms for precision in precisions
                             if _is_worth_it(entry, precision)]
-            slow = {"double"} if len(precisions) > 1 else set()  # float is quick to tell of a fault
+            marks = [pytest.mark.slow]  # float is quick to tell of a fault
+            if not metafunc.definition.get_closest_marker("double"):
+                marks.append(pytest.mark.nightly)
             metafunc.parametrize(name, [
-                pytest.param(each, marks=pytest.mark.slow if each[2] in slow else (),
+                pytest.param(each, marks=marks if each[2:] == precisions[1:] else (),
                              id=_label(each)) for each in combinations], indirect=True)
 
 
@@ -49,7 +52,8 @@ def pytest_collection_modifyitems(items):
     well, and all of them each night."""
     cases = Counter()
     for item in items:
-        if marker := item.get_closest_marker("one_in"):
+        marker = item.get_closest_marker("one_in")
+        if marker and not item.get_closest_marker("nightly"):
             kind = item.function, item.get_closest_marker("slow") is None
             if cases[kind] % marker.args[0]:
                 item.add_marker("nightly")
@@ -172,6 +176,16 @@ def levelled(once, item_device, city):
 
     return RunFolder.open(once("levelled", lambda folder: trained(
         folder, city, item_device, **LEVELLED)))
+
+
+@pytest.fixture(scope="session")
+def eventful(once, item_device, city):
+    """The same of a training with the options EVENTFUL, and an evaluation every 50 steps."""
+    from clsplat.io.runs.run import RunFolder
+    from tests.data.tiny_training import trained
+
+    return RunFolder.open(once("eventful", lambda folder: trained(
+        folder, city, item_device, eval_every=50)))
 
 
 @pytest.fixture

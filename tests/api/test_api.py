@@ -155,6 +155,7 @@ def test_features_are_blended_like_colours_and_have_gradients(item_device):
 
 @pytest.mark.slow  # double-precision kernels take long to compile
 @pytest.mark.parametrize("depth", [False, True])
+@pytest.mark.one_in(3)
 def test_backward_is_the_derivative_of_forward(double_device, depth):
     model = blob(3)  # each covers the whole image, for its border would be a step
     model.rows["log_scales"][:] = np.log((2.0, 1.5, 1.8))
@@ -345,6 +346,7 @@ def test_example_of_rendering(run, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name, least, most", [
     ("fit_an_image.py", 27, 99), ("fit_a_pose.py", 0, 0.02), ("fit_features.py", 0.98, 1)])
+@pytest.mark.one_in(3)
 def test_examples_of_fitting_end_well(name, least, most):
     first, *_, last = (float(line.split()[2]) for line in ran(name).splitlines())
     assert least < last <= most and first != last

@@ -31,9 +31,9 @@ def run_of(path, scene):
                            up=scene.up)
 
 
-def drawn(device, folder, resolution=0.05, georeference=made.UTM, **options):
+def drawn(device, folder, resolution=0.05, georeference=made.UTM, bounds=None, **options):
     scene = made.scene(georeference)
-    grid = map_grid(scene, resolution)
+    grid = map_grid(scene, resolution, bounds)
     record = write_map(run_of(folder, scene), scene, grid, device, folder, **options)
     return grid, record, *rasters(folder)
 
@@ -105,19 +105,32 @@ def test_contour_lines_surround_the_house_in_degrees(house):
 
 @pytest.mark.slow
 def test_tiles_and_overviews_continue(item_device, tmp_path):
-    """A map of several tiles shows what one of a single tile does."""
-    grid, record, colours, heights = drawn(item_device, tmp_path, 0.02, None)
-    assert max(grid.tiles) > 2 and record["crs"] is None
+    """A map of several tiles shows what one of a single tile does, and passes the validator of
+    cloud-optimised GeoTIFF: a strip from west to east, across the edge of the house."""
+    left, bottom, *_ = corner = (made.OFFSET + made.UTM.offset)[:2] - (12, -1)
+    grid, record, colours, heights = drawn(
+        item_device, tmp_path, 0.02, bounds=(*corner, left + 24, bottom + 6), terrain=7.0)
+    assert max(grid.tiles) > 2
+    heights = heights - made.UTM.offset[2]
     known = ~np.isnan(heights)
     steps = abs(np.diff(np.where(known, heights, 7.0), axis=1)).max(axis=0)
-    assert steps[511] < 2.1 and known[5:-5, 500:524].mean() > 0.98
+    assert steps[511] < 2.1 and known[5:-5, 500:524].mean() > 0.97  # the rim of the roof
     ground = heights[20:100]
     assert abs(ground - 7).max() < 5e-3
     with rasterio.open(tmp_path / "surface.tif") as file:
         assert file.overviews(1) == [2, 4]
     with rasterio.open(tmp_path / "surface.tif", overview_level=0) as file:
-        half = file.read(1)
+        half = file.read(1) - made.UTM.offset[2]
     assert np.allclose(half[10:50], 7, atol=5e-3)
+    cogeo = pytest.importorskip("rio_cogeo.cogeo", reason="rio-cogeo is not installed (extra test)")
+    for name in record["bands"]:
+        assert cogeo.cog_validate(tmp_path / name, quiet=True) == (True, [], []), name
+        with rasterio.open(tmp_path / name) as file:
+            assert file.overviews(1), name
+            plain = file.profile | {"driver": "GTiff", "tiled": False, "copy_src_overviews": False}
+            with rasterio.open(tmp_path / "plain.tif", "w", **plain) as other:
+                other.write(file.read())
+    assert not cogeo.cog_validate(tmp_path / "plain.tif", quiet=True)[0]
 
 
 @pytest.mark.slow
@@ -126,8 +139,9 @@ def test_where_nothing_is_known(item_device, tmp_path):
     scene = made.scene(None)
     bounds = (80.0, -70.0, 120.0, -30.0)
     grid = map_grid(scene, 0.1, bounds)
-    write_map(run_of(tmp_path, scene), scene, grid, item_device, tmp_path)
+    record = write_map(run_of(tmp_path, scene), scene, grid, item_device, tmp_path)
     colours, heights = rasters(tmp_path)
+    assert record["crs"] is None
     assert (colours[:70, :70, 3] == 0).all() and np.isnan(heights[:70, :70]).all()
     assert np.array_equal(np.isnan(heights), colours[..., 3] == 0)
     assert not (colours[..., :3][colours[..., 3] == 0]).any()

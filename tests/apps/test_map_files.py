@@ -196,18 +196,3 @@ def test_a_map_has_its_styles_item_and_report(item_device, tmp_path, monkeypatch
     assert dict(pages[2][0][2].rows)["heights"] == "unknown: the vertical system of the scene"
     left = {path.name for path in tmp_path.iterdir()}
     assert not left & {"item.json", "terrain.qml", "terrain_hillshade.tif"}, "of the earlier map"
-
-
-@pytest.mark.slow
-def test_rasters_pass_the_validator_of_cloud_optimised_geotiff(item_device, tmp_path):
-    cogeo = pytest.importorskip("rio_cogeo.cogeo", reason="rio-cogeo is not installed (extra test)")
-    _, record, *_ = drawn(item_device, tmp_path, 0.02, terrain=7.0)  # large enough for overviews
-    for name in record["bands"]:
-        assert cogeo.cog_validate(tmp_path / name, quiet=True) == (True, [], []), name
-        with rasterio.open(tmp_path / name) as file:
-            assert file.overviews(1), name
-    with rasterio.open(tmp_path / "surface.tif") as file:
-        plain = file.profile | {"driver": "GTiff", "tiled": False, "copy_src_overviews": False}
-        with rasterio.open(tmp_path / "plain.tif", "w", **plain) as other:
-            other.write(file.read())
-    assert not cogeo.cog_validate(tmp_path / "plain.tif", quiet=True)[0]

@@ -109,11 +109,11 @@ def test_the_preview_has_the_lines_of_the_file(item_device, tmp_path, monkeypatc
         shown.update(shape=heights.shape, lines=lines, size=size)
 
     monkeypatch.setattr(map_module, "write_preview", write)
-    monkeypatch.setattr(map_module, "PREVIEW_SIDE", 700)
+    monkeypatch.setattr(map_module, "PREVIEW_SIDE", 350)
     scene = made.scene(None)
-    grid = map_grid(scene, 0.02)
+    grid = map_grid(scene, 0.04)
     write_map(run_of(tmp_path, scene), scene, grid, item_device, tmp_path, interval=1.0)
-    assert max(shown["shape"]) <= 700 and shown["size"] == 0.04
+    assert max(shown["shape"]) <= 350 and shown["size"] == 0.08
     house = grid.pixels(made.OFFSET[None])[0] * grid.resolution / shown["size"]
     middles = [(line.min(axis=0) + line.max(axis=0)) / 2 for line in shown["lines"]]
     assert min(np.abs(middle - house).max() for middle in middles) < 2

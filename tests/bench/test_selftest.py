@@ -109,6 +109,7 @@ def test_a_working_device_passes(float_device):
     ("Renderer", HalfTheTurn, "render adjoint"),
     ("Renderer", restless, "same bytes twice"),
 ])
+@pytest.mark.one_in(2)
 def test_a_broken_part_fails_its_line_only(float_device, monkeypatch, part, broken, line):
     monkeypatch.setattr(selftest, part, broken)
     assert failures(results(float_device)) == [line]

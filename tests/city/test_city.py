@@ -164,7 +164,6 @@ def test_again_changes_nothing(copy, monkeypatch):
     assert times == {path: path.stat().st_mtime_ns for path in copy.path.glob("blocks/*/run/*")}
 
 
-@pytest.mark.slow
 def test_goes_on_where_it_was(copy):
     before = model(copy)
     shutil.rmtree(copy.block(1).run)
@@ -174,7 +173,6 @@ def test_goes_on_where_it_was(copy):
     assert model(copy) == before
 
 
-@pytest.mark.slow
 def test_stages_one_by_one_end_in_the_same(made, tmp_path):
     flags = [flag for flag in FLAGS if flag not in ("--grid", "2x1", "--least-views", "3")]
     flags[flags.index("-n") + 1], flags[flags.index("-r") + 1] = "30", "8"
@@ -204,7 +202,6 @@ def test_other_options_are_refused(copy, capsys, flags, cause):
     assert cause in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_a_block_that_does_not_fit_its_device_is_named(copy, monkeypatch, capsys):
     def train_block(*_):
         raise OutOfDeviceMemory("a small device: no memory for 1 MiB more")
@@ -228,25 +225,16 @@ def test_a_model_that_cannot_be_written_loses_nothing(copy, capsys):
     assert model(copy) == before
 
 
-@pytest.mark.slow
-def test_workers_on_one_device_share_its_memory_budget(made, tmp_path):
+def scores(folder):
+    return [{key: value for key, value in record.items() if "seconds" not in key}
+            for record in RunFolder(folder.path).records() if record["event"] in ("eval", "seams")]
+
+
+def test_two_workers_on_one_device_share_its_memory_budget_and_end_in_the_same(made, tmp_path):
     shared = city(tmp_path / "city", "--memory-budget", "1GiB", "--workers", "2")
     assert {block.read()["options"]["memory_budget"] for block in shared.blocks()} == {"512MiB"}
     assert {block.read()["options"]["memory_budget"] for block in made.blocks()} == {""}
     assert model(shared) == model(made)
-
-
-def test_two_workers_end_in_the_same(copy):
-    def scores():
-        return [{key: value for key, value in record.items() if "seconds" not in key}
-                for record in RunFolder(copy.path).records()
-                if record["event"] in ("eval", "seams")]
-
-    before, scored = model(copy), scores()
-    for block in copy.blocks():
-        shutil.rmtree(block.run)
-    city(copy.path, "--workers", "2")
-    assert model(copy) == before
-    assert len(scored) == 2 and scores() == scored
-    for border in scored[1]["borders"]:  # the merged model beside the coarse one
+    assert len(scores(made)) == 2 and scores(shared) == scores(made)
+    for border in scores(made)[1]["borders"]:  # the merged model beside the coarse one
         assert border["psnr"] != border["reference_psnr"]

@@ -226,7 +226,8 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["auto", "coded", "numpy"])
+@pytest.mark.parametrize("engine", ["coded", "auto", "numpy"])
+@pytest.mark.one_in(3)
 def test_a_training_that_rests_goes_on_to_the_same_bytes(city, item_device, engine):
     """The exchange in place, and from files; the block is cut anew with this engine."""
     for number in (0, 1):

@@ -279,7 +279,7 @@ def test_jobs_are_spread_over_workers_and_failures_tried_again(dask, tmp_path):
     for resources in ("device=1", "device=1", ""):
         dask.start_worker(resources=resources)
     assert eventually(lambda: len(dask_workers(dask)) == 3)
-    outcomes = on_cluster(dask, some_jobs(tmp_path, 8, failures=1, steps=8))
+    outcomes = on_cluster(dask, some_jobs(tmp_path, 4, failures=1, steps=8))
     assert all(outcome.ok and outcome.tries == 2 and outcome.value == 8 for outcome in outcomes)
     assert all(len(lines(outcome.job, ENDS)) == 1 for outcome in outcomes)
     assert len({outcome.worker for outcome in outcomes}) == 2  # not the one without a device
@@ -294,7 +294,7 @@ def test_workers_are_killed_and_every_job_is_done_once(dask, tmp_path):
     for _ in range(2):
         dask.start_worker()
     parent = driver(tmp_path, 3, 80, 1, dask.address)
-    for _ in range(3):
+    for _ in range(2):
         assert eventually(lambda: at_work(given))
         process = int(processes_of(at_work(given)[:1])[0])
         dask.kill(next(worker for worker in dask.workers if worker.pid == process))
@@ -302,7 +302,7 @@ def test_workers_are_killed_and_every_job_is_done_once(dask, tmp_path):
     output, errors = parent.communicate(timeout=300)
     assert parent.returncode == 0, errors
     assert all((job.folder / DONE).exists() and len(lines(job, ENDS)) == 1 for job in given)
-    assert sum(map(starts, given)) == len(given) + 3
+    assert sum(map(starts, given)) == len(given) + 2
     assert all((job.folder / STATE).read_text() == "80" for job in given)
 
 

@@ -43,7 +43,7 @@ def read(address):
 @needs_signals
 @pytest.mark.slow
 def test_train_and_view(tmp_path):
-    run, options = tmp_path / "run", ("-n", 300, "-r", 8, "-q")
+    run, options = tmp_path / "run", ("-n", 100, "-r", 8, "-q")
     with Started("train", CITY, "-o", run, *options, "--view") as training:
         page = read(training.address)
         assert "<title>city" in page and "{{" not in page

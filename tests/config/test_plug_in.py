@@ -52,14 +52,14 @@ def test_a_schedule_in_one_file(package, tmp_path):
     assert options["half_share"] == 0.5
     whole = " ".join(clsplat("train", "--schedule", "halves", "--help-all").stdout.split())
     assert "--half-share FLOAT Share of the run at half size" in whole
-    done = clsplat("train", CITY, "--schedule=halves", "-n", "8", "-r", "8", "--half-share",
+    (tmp_path / "run.toml").write_text('schedule = "halves"\nhalf-share = 0.75\nsh-degree = 1\n')
+    done = clsplat("train", CITY, "--config", "run.toml", "-n", "8", "-r", "8", "--half-share",
                    "0.25", "--eval-every", "1", "-o", "other")
     assert done.returncode == 0, done.stderr
     records = [json.loads(line) for line in (tmp_path / "other/metrics.jsonl").open()]
     assert {r["level"] for r in records if r["event"] == "eval"} == {1.0, 2.0}
-    (tmp_path / "run.toml").write_text('schedule = "halves"\nhalf-share = 0.75\n')
-    done = clsplat("train", CITY, "--config", "run.toml", "-n", "8", "-r", "8", "-o", "third")
-    assert json.loads((tmp_path / "third/options.json").read_text())["half_share"] == 0.75
+    options = json.loads((tmp_path / "other/options.json").read_text())
+    assert options["half_share"] == 0.25
     done = clsplat("train", CITY, "--half-share", "0.25", "-o", "fourth")
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert "--half-share" in done.stderr

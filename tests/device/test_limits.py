@@ -14,7 +14,8 @@ LOCAL_BYTES = 32 << 10  # that every device has
 MULTIPLE = cl.kernel_work_group_info.PREFERRED_WORK_GROUP_SIZE_MULTIPLE
 # name -> lanes that run in step, work-items of a group at most, whether optional features work,
 # bytes of a buffer at most
-LIMITS = {"64 lanes": (64, 256, True, 0), "64 lanes, groups of 64": (64, 64, True, 0),
+LIMITS = {"all of them": (64, 100, False, 1 << 21), "64 lanes": (64, 256, True, 0),
+          "64 lanes, groups of 64": (64, 64, True, 0),
           "32 lanes, groups of 64": (32, 64, True, 0), "groups of 100": (32, 100, True, 0),
           "no double, no native functions": (32, 256, False, 0),
           "buffers of 2 MiB": (32, 256, True, 1 << 21)}
@@ -58,6 +59,7 @@ def limited(request, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.one_in(7)
 def test_the_self_test_passes_under_limits(limited, item_device):
     local, groups = limited
     assert [line for line in check(item_device) if not line[1]] == []

@@ -119,7 +119,7 @@ PARTS = [{"poses": "on"},
 
 @pytest.mark.slow  # the group form takes half a minute on a CPU
 @pytest.mark.parametrize("options", PARTS, ids=str)
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(8)
 def test_trial_steps_foretell_what_a_training_allocates(float_device, options):
     """At a size between those that were tried, with photos that stay and with photos that do not;
     frames of the second have more room, as views are met in another order."""

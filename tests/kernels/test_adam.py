@@ -90,6 +90,7 @@ class Run:
             close(v[name], self.second[name], precision, f"{what} v of {name}")
 
 
+@pytest.mark.double
 @ENGINES
 @pytest.mark.one_in(3)
 def test_steps_on_varying_rows(device, engine):

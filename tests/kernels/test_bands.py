@@ -46,6 +46,7 @@ def cuts(tiles_x, tiles_y):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name, with_depth", [(SPREAD, True), (SPREAD, False), ("ragged", True)])
+@pytest.mark.one_in(6)
 def test_however_a_frame_is_cut_its_bytes_are_the_same(device, monkeypatch, name, with_depth):
     case = cases.gaussians(name)
     _, expected = results(device, case, with_depth)
@@ -60,7 +61,7 @@ def test_however_a_frame_is_cut_its_bytes_are_the_same(device, monkeypatch, name
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.6, 0.3, 0.15])
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 def test_a_frame_above_the_limit_is_rendered_in_bands_below_it(device, share):
     case = cases.gaussians("many", count=300)
     whole, expected = results(device, case)

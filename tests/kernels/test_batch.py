@@ -50,6 +50,7 @@ def a_view(device, count, seen, seed):
     return gradients, spread, was_seen, stays
 
 
+@pytest.mark.double
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("views, share", [(1, 1.0), (2, 0.5), (4, 0.2), (4, 0.0)])
 def test_mean_of_views(device, views, share):

@@ -78,6 +78,7 @@ def check(device, splats, order, size, what, with_depth=True, smooth=False):
     return actual
 
 
+@pytest.mark.double
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
 def test_image_and_gradients(device, size):
@@ -88,6 +89,7 @@ def test_image_and_gradients(device, size):
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("channels", [1, 3, 8])
 @pytest.mark.parametrize("with_depth", [False, True])
+@pytest.mark.one_in(5)
 def test_features_of_any_number_of_channels(device, channels, with_depth):
     """In place of the colours of the splats, which are nan; of gaussians in another order."""
     size, rng = (37, 29), np.random.default_rng(channels)

@@ -20,6 +20,7 @@ def run(device, arrays):
         device, *(device.upload(values) for values in arrays), WEIGHT))
 
 
+@pytest.mark.double
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_value_and_gradients(device, size):

@@ -97,6 +97,7 @@ def a_pair(width, height, seed=0):
     return image, cases.single(other - 0.3)
 
 
+@pytest.mark.double
 @pytest.mark.oclgrind
 @with_parts
 @pytest.mark.parametrize("size", SIZES, ids=str)

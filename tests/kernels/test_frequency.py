@@ -34,6 +34,7 @@ def check(device, model, what):
     close(values(device, model) / expected, expected / expected, precision_of(device), what)
 
 
+@pytest.mark.double
 @pytest.mark.oclgrind
 def test_values(device, monkeypatch):
     monkeypatch.setattr(frequency, "ROWS_AN_ITEM", 2)

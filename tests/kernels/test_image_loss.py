@@ -46,6 +46,7 @@ def check(device, render, photo, what, weight=WEIGHT, valid=True):
           precision, f"{what}: gradient")
 
 
+@pytest.mark.double
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_value_and_gradient(device, size):

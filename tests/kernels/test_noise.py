@@ -33,6 +33,7 @@ def moves(device, rows, amount=AMOUNT, now=NOW, seed=SEED, frozen=None, counts=N
     return on_device["positions"].download().astype(np.float64) - rows["positions"]
 
 
+@pytest.mark.double
 @pytest.mark.oclgrind
 def test_against_the_reference(device):
     group = device.group_size

@@ -31,6 +31,7 @@ def test_a_small_scene(device):
 
 
 @pytest.mark.slow
+@pytest.mark.one_in(2)
 def test_features_that_are_colours_make_the_same_frame(device):
     """Of degree 0 over black: the image, the gradients by shapes, also in bands, and those by the
     features, which are those by the harmonics but for their factor."""
@@ -136,6 +137,7 @@ def test_the_same_bytes_every_time_and_for_every_group_size(device, monkeypatch)
 
 
 @pytest.mark.slow
+@pytest.mark.one_in(2)
 def test_the_gradient_by_the_pose_agrees_with_differences(double_device):
     case = cases.gaussians("plain")
     renderer, rows, frame = chain.render(double_device, case, smooth_cutoff=True)

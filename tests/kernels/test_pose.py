@@ -80,6 +80,7 @@ def test_the_corrected_camera(device, size):
             assert np.allclose(back.shift, correction.shift, atol=1e-9)
 
 
+@pytest.mark.double
 @pytest.mark.parametrize("name, antialiased", [("plain", False), ("degree_2", True),
                                                ("needles", False)])
 @pytest.mark.one_in(3)

@@ -107,6 +107,7 @@ def check(device, case, antialiased, what, with_depth=True):
     assert np.array_equal(actual.active, visible) and actual.skipped.download()[0] == 0, what
 
 
+@pytest.mark.double
 @pytest.mark.parametrize("name, antialiased", CASES)
 @pytest.mark.one_in(5)
 def test_splats_and_gradients(device, name, antialiased):

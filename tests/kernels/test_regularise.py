@@ -14,6 +14,7 @@ from tests.reference import regularise as reference
 WEIGHTS = 0.01, 0.03
 
 
+@pytest.mark.double
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("spare", [0, 20])
 def test_against_the_reference(device, spare):

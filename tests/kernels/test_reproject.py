@@ -92,6 +92,7 @@ def test_masked_pixels_and_samples_are_not_valid(device):
     assert 0 < first[0][1] < sums[1] and all(map(np.array_equal, first, second))
 
 
+@pytest.mark.double
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("size, other_size", SIZES, ids=str)
 def test_value_and_gradients(device, size, other_size):
@@ -152,6 +153,7 @@ def test_poison_in_what_all_pixels_share_is_never_nan(device, name, index):
 
 
 @pytest.mark.slow
+@pytest.mark.one_in(2)
 def test_through_the_renderer_to_the_gaussians(double_device):
     """The loss of a render by differences, against the chain of adjoints. The neighbour is a ramp,
     of which bilinear samples have no kinks."""

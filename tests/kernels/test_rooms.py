@@ -47,6 +47,7 @@ class Rendered:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["degree_1", "giants", "many"])
 @pytest.mark.parametrize("visible, pairs", [(0, 0), (1, 1), (300, 5000)])
+@pytest.mark.one_in(4)
 def test_a_room_that_is_large_enough_changes_nothing(device, name, visible, pairs):
     case = cases.gaussians(name, count=300)
     exact = Rendered(device, case)

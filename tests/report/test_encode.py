@@ -27,7 +27,8 @@ def test_a_large_model_is_a_coarse_one_and_cells(city, monkeypatch):
 
 @pytest.mark.slow
 @needs_chromium
-@pytest.mark.parametrize("memory", [32, 4], ids=["desktop", "phone"])
+@pytest.mark.parametrize("memory", [4, 32], ids=["phone", "desktop"])
+@pytest.mark.one_in(2)
 def test_cells_follow_a_coarse_picture(tmp_path, city, monkeypatch, memory):
     """All of them, or where there is little memory the nearest ones, in place of others."""
     monkeypatch.setattr(encode, "WHOLE", 1000)

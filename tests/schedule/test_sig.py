@@ -222,6 +222,7 @@ def test_what_is_ahead(frequency):
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("frequency", [flat, wild])
+@pytest.mark.one_in(3)
 def test_stopped_anywhere_it_goes_on_alike(preset, frequency):
     """Through JSON, at every iteration."""
     for changes in ({"rounds": 6}, {"rounds": 6, "pixels_per_gaussian": 200.0}):

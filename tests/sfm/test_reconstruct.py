@@ -152,20 +152,26 @@ def copied_city(folder, count=12):
     return scene
 
 
-@pytest.mark.slow
-def test_a_killed_reconstruction_continues_and_ends_in_metres(tmp_path):
+def killed(words, waited_for):
+    """A command whose process is killed once a file of its scene is there."""
+    output = words[words.index("-o") + 1]
+    process = subprocess.Popen([sys.executable, "-m", "clsplat", *map(str, words)],
+                               stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    while not (output / waited_for).exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    assert not (output / "sfm.json").exists()
+
+
+@pytest.mark.nightly
+def test_a_reconstruction_killed_at_any_place_continues_and_ends_in_metres(tmp_path):
     truth = copied_city(tmp_path / "in")
-    command = [sys.executable, "-m", "clsplat", "sfm", str(tmp_path / "in"), "-o",
-               str(tmp_path / "out")]
+    words = "sfm", tmp_path / "in", "-o", tmp_path / "out"
     for waited_for in (".sfm/database.db", ".sfm/global", ".sfm/triangulation", "images"):
-        process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-        while not (tmp_path / "out" / waited_for).exists():
-            assert process.poll() is None
-            time.sleep(0.01)
-        process.kill()
-        process.wait()
-        assert not (tmp_path / "out/sfm.json").exists()
-    subprocess.run(command, check=True, capture_output=True)
+        killed(words, waited_for)
+    assert clsplat_(*words).exit_code == 0
     record = json.loads((tmp_path / "out/sfm.json").read_text())
     assert record["registered"] == record["photos"] == 12
     assert record["reprojection_error_pixels"] < 0.5 and record["not_registered"] == {}
@@ -199,19 +205,23 @@ def control_file(path, truth, count, marked):
 
 
 @pytest.mark.slow
-def test_control_points_take_out_the_bending(tmp_path):
+def test_control_points_take_out_the_bending_after_a_kill(tmp_path):
     """The twelve photos of above, whose focal length is uncertain; the residual was 0.13 m."""
     truth = copied_city(tmp_path / "in")
     names = control_file(tmp_path / "gcp.csv", truth, 12, 15)
     checks = [word for name in names[2::3] for word in ("--check-point", name)]
-    result = clsplat_("sfm", tmp_path / "in", "-o", tmp_path / "out", "--gcp",
-                      tmp_path / "gcp.csv", *checks)
+    words = ("sfm", tmp_path / "in", "-o", tmp_path / "out", "--gcp", tmp_path / "gcp.csv", *checks)
+    killed(words, ".sfm/global")
+    result = clsplat_(*words)
     assert result.exit_code == 0 and "5 check points, which took no part" in result.output
     record = json.loads((tmp_path / "out/sfm.json").read_text())
+    assert record["registered"] == record["photos"] == 12 and record["not_registered"] == {}
+    assert record["reprojection_error_pixels"] < 0.5 and not (tmp_path / "out/.sfm").exists()
     roles = [each["role"] for each in record["control_points"]]
     assert roles.count("control") == 10 and roles.count("check") == 5
     scene = read_scene(tmp_path / "out")
     assert scene.georeference.residual < 0.05 and scene.georeference.offset[2] > 90
+    assert scene.georeference.crs == "EPSG:32632" and scene.up.tolist() == [0, 0, 1]
     found, true = (np.array([view.camera.position + whole.offset for view in whole.views[:12]])
                    for whole in (scene, truth))
     away = found + scene.georeference.offset - true - (500_000, NORTHING, 100)

@@ -35,16 +35,15 @@ def learns(run):
 
 
 @pytest.mark.slow
-def test_growth_is_recorded_and_adds_up(item_device, city, tmp_path):
-    run = trained(tmp_path / "run", city, item_device)
-    rounds = records(run, "grow")
+def test_growth_is_recorded_and_adds_up(eventful, city):
+    rounds = records(eventful, "grow")
     assert [record["iteration"] for record in rounds] == [41, 61, 81, 101]
     count = len(city.points)
     for record in rounds:
         count += record["cloned"] + record["split"] - record["pruned"]
         assert record["gaussians"] == count
     assert all(sum(record[kind] for record in rounds) > 0 for kind in ("cloned", "split", "pruned"))
-    assert read_ply(run.path / "point_cloud.ply").count == count
+    assert read_ply(eventful.path / "point_cloud.ply").count == count
 
 
 @pytest.mark.slow
@@ -102,8 +101,8 @@ def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path,
 
 
 @pytest.mark.slow
-def test_records_carry_what_reports_read(item_device, city, tmp_path):
-    run = trained(tmp_path / "run", city, item_device, eval_every=50)
+def test_records_carry_what_reports_read(eventful):
+    run = eventful
     every = run.records()
     assert {record["event"] for record in every} == {"plan", "step", "grow", "reset", "eval",
                                                      "time"}

@@ -77,6 +77,7 @@ def test_sampled_points_lie_on_their_primitives(city):
 
 
 @pytest.mark.slow
+@pytest.mark.one_in(2)
 def test_points_are_seen_where_the_reference_sees_them(float_device, flown):
     city, cameras = flown
     sparse = observe_on(DeviceCity(float_device, Texture(city, PIXEL)), city, cameras, 3000)

@@ -25,6 +25,7 @@ def raising(error, at=3, event="step"):
     ValueError("mine"), SystemExit(3), RuntimeError("mine"), MemoryError(),
     pytest.param(clsplat.ClsplatError("mine"), id="ClsplatError")])
 @pytest.mark.slow
+@pytest.mark.one_in(3)
 def test_what_a_callback_raises_goes_on_after_the_checkpoint(tmp_path, item_device, error):
     with pytest.raises(type(error)) as caught:
         clsplat.train(CITY, TINY, output=tmp_path / "run", device=item_device,

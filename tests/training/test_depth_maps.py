@@ -86,10 +86,10 @@ def test_a_step_uses_the_map_of_a_view_that_has_one(device):
 def test_a_training_is_held_by_its_maps(item_device, folder):
     """The more, the more they weigh; these maps contradict the photos."""
     errors = {}
-    for weight in (0.01, 3.0, 30.0):
+    for weight in (0.01, 3.0):
         run = trained(folder.parent / f"run_{weight}", read_scene(folder), item_device, **STILL,
                       iterations=200, depth="depth", depth_weight=weight)
         found = [record["depth_error"] for record in records(run, "step")
                  if "depth_error" in record]
         errors[weight] = found[-1]
-    assert errors[30.0] < 0.9 * errors[0.01] and errors[3.0] < 0.95 * errors[0.01], errors
+    assert errors[3.0] < 0.95 * errors[0.01], errors

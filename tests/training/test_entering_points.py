@@ -133,7 +133,7 @@ def test_a_training_resumed_at_a_coarser_level_ends_in_the_same_bytes(item_devic
     """Gaussians that enter after the resume come from the checkpoint."""
     scene = read_scene(CITY)
     options = {"schedule": "sig", "init": "dense", "iterations": 60, "levels": (4.0, 2.0, 1.0),
-               "downscale": 2.0, "checkpoint_every": 4}
+               "downscale": 3.0, "checkpoint_every": 4}
     whole = trained(tmp_path / "whole", scene, item_device, **options)
     counts = [record["entered"] for record in records(whole, "points")]
     plan = records(whole, "plan")[0]
