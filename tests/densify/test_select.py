@@ -94,7 +94,7 @@ def test_a_score_of_nothing_is_never_drawn():
 
 def test_draws_follow_the_scores():
     """The first of two drawn is i with p_i, the second j with p_j / (1 - p_i)."""
-    scores, trials = np.array([4.0, 3.0, 2.0, 1.0]), 4000
+    scores, trials = np.array([4.0, 3.0, 2.0, 1.0]), 1500
     p = scores / 10
     inclusion = [p[i] + sum(p[j] * p[i] / (1 - p[j]) for j in range(4) if j != i)
                  for i in range(4)]
