@@ -201,7 +201,8 @@ def test_a_map_has_its_styles_item_and_report(item_device, tmp_path, monkeypatch
     drawn(item_device, tmp_path, 0.1, None)
     assert dict(pages[2][0][2].rows)["heights"] == "unknown: the vertical system of the scene"
     left = {path.name for path in tmp_path.iterdir()}
-    assert not left & {"item.json", "terrain.tif", "terrain.qml", "terrain_hillshade.tif"}, "of the earlier map"
+    earlier = {"item.json", "terrain.tif", "terrain.qml", "terrain_hillshade.tif"}
+    assert not left & earlier, "of the earlier map"
 
 
 @pytest.mark.slow
