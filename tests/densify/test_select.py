@@ -19,7 +19,8 @@ def options_of(threshold):
 def a_round(gradient, threshold=1.0, scores=None, small=None, prunes=None, rng=None):
     nothing = np.zeros(len(gradient), bool)
     rows = {"log_scales": np.zeros((len(gradient), 3)), "opacity_logits": np.zeros(len(gradient))}
-    made = Round(1, rows, 1.0, options_of(threshold), False, nothing, lambda: gradient, lambda _: scores, None)
+    made = Round(1, rows, 1.0, options_of(threshold), False, nothing, lambda: gradient,
+                 lambda _: scores, None)
     made.rng, made.is_small = rng, small
     made.prunes = nothing if prunes is None else prunes
     return made
