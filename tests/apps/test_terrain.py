@@ -1,5 +1,7 @@
 """The terrain of a made city whose ground and buildings are known, and of a map with a house."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import rasterio
@@ -17,17 +19,24 @@ from tools.synth.city import KINDS, UNIT_METRES, from_above, lay_out
 PIXEL, WIDTH = 0.8, 40.0  # metres
 
 
-def surveyed(slope, noise=0.2, seed=0):
-    """Heights of a city on a slope, metres; those of its ground; and which are of the ground, and
-    of buildings."""
-    city = lay_out((2, 2), seed, small=True)
+@cache
+def made_city():
+    """x, heights, metres, and which places are of the ground, and of buildings."""
+    city = lay_out((2, 2), 0, small=True)
     x, y = np.meshgrid(*(np.arange(-end * UNIT_METRES, end * UNIT_METRES, PIXEL) + PIXEL / 2
                          for end in city.extent + 5))
     heights, solids = from_above(city, x / UNIT_METRES, y / UNIT_METRES)
-    ground = slope * x + 250
     buildings = np.isin(solids, 1 + np.flatnonzero(city.kinds == KINDS.index("building")))
-    shown = ground + UNIT_METRES * heights + np.random.default_rng(seed).normal(0, noise, x.shape)
-    return shown, ground, solids == 0, buildings
+    return x, UNIT_METRES * heights, solids == 0, buildings
+
+
+def surveyed(slope, noise=0.2):
+    """Heights of a city on a slope, metres; those of its ground; and which are of the ground, and
+    of buildings."""
+    x, heights, is_ground, is_building = made_city()
+    ground = slope * x + 250
+    shown = ground + heights + np.random.default_rng(0).normal(0, noise, x.shape)
+    return shown, ground, is_ground, is_building
 
 
 def within(terrain, tolerance, shown):

@@ -79,7 +79,7 @@ def test_the_number_of_steps_follows_the_photos(photos, steps):
     assert planned_steps(resolve({}, {"preset": "paper"}), photos)[0] == 30_000
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(9)
 @pytest.mark.parametrize("photos, differ, most", [
     (32, 0.0, ENOUGH), (32, AGREEING, ENOUGH), (32, math.nan, ENOUGH), (32, 0.05, 1600),
     (32, 0.2, 1600), (12, 0.2, FEWEST), (100, 0.0, 7500), (40, 0.04, 2551), (100, 0.2, 5000)])
