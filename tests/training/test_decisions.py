@@ -34,6 +34,21 @@ def city():
     return read_scene(CITY).reduced(4)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def decoded_once():
+    """Each photo at each size, for all these tests."""
+    known, decode = {}, photos.decode
+
+    def of(view):
+        key = view.source, view.camera.width, view.camera.height
+        if key not in known:
+            known[key] = decode(view)
+        return known[key]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(photos, "decode", of)
+        yield
+
+
 def survey_of(scene, options):
     return Survey(scene, scene.views, options, Thumbnails(scene.views))
 
