@@ -138,6 +138,7 @@ def test_what_the_files_of_photos_tell(tmp_path):
     assert photographs_of(replace(scene, views=views)) == Photographs({}, None)
 
 
+@pytest.mark.slow
 def test_a_map_has_its_styles_item_and_report(item_device, tmp_path, monkeypatch):
     monkeypatch.setattr(map_module, "photographs_of",
                         lambda _: Photographs({"DJI FC6360, 64 x 48 pixels": 9}, ZONED))

@@ -170,6 +170,7 @@ def test_level_ground_shows_no_shift_along_it(tmp_path):
     assert record["shift"]["east"] == 0 and abs(record["shift"]["up"] + 1) < 1e-3
 
 
+@pytest.mark.slow
 def test_surveys_of_other_pixels_and_with_gaps(tmp_path):
     before = noisy(site((*HOUSES, GONE), False))
     before[133:200, :53] = np.nan
