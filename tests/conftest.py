@@ -9,6 +9,7 @@ changes of it, it changes with monkeypatch.
 """
 
 import functools
+import gc
 import os
 from collections import Counter
 
@@ -21,6 +22,9 @@ WORKER = os.environ.get("PYTEST_XDIST_WORKER")
 KERNELS = SharedKernels(WORKER) if WORKER else None
 
 from clsplat.device import Device, choose_device, list_devices  # noqa: E402  (reads the environment above)
+from tests.shared_programs import share  # noqa: E402
+
+share()
 
 FORMS, PRECISIONS = ("item", "group"), ("float", "double")
 FIXTURES = {  # name -> the forms and precisions it stands for
@@ -58,6 +62,11 @@ def pytest_collection_modifyitems(items):
             if cases[kind] % marker.args[0]:
                 item.add_marker("nightly")
             cases[kind] += 1
+
+
+def pytest_collection_finish():
+    gc.collect()
+    gc.freeze()  # or each collection of garbage would look at all tests
 
 
 @pytest.fixture(scope="module", autouse=True)

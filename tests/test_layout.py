@@ -117,12 +117,13 @@ def imports(path):
                     yield node.lineno, f"clsplat.{alias.name}", place
             else:
                 yield node.lineno, dots + module, place
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             place = "function"
         elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             place = "types"
         for child in ast.iter_child_nodes(node):
-            yield from visit(child, place)
+            if not isinstance(child, ast.expr):  # of which none imports
+                yield from visit(child, place)
     return tuple(visit(parsed(path), "module"))
 
 
@@ -241,7 +242,8 @@ def kernel_forms(root):
 def form_branches(root):
     """Only the device layer asks for a kernel's form: what differs is data (device.Forms)."""
     for name, path in sources(root, "clsplat"):
-        if name.startswith("clsplat/device/"):
+        if name.startswith("clsplat/device/") or not re.search(
+                r"\bform\b|\bitem\b|\bgroup\b", path.read_text("utf-8")):
             continue
         for node in ast.walk(parsed(path)):
             asked = ([node.left, *node.comparators] if isinstance(node, ast.Compare) else
@@ -305,8 +307,9 @@ def top_level(root):
 
 
 def sessions(root):
+    called = re.compile("|".join(BUILT_BY_A_SESSION))
     for name, path in sources(root, "clsplat"):
-        for node in ast.walk(parsed(path)):
+        for node in ast.walk(parsed(path)) if called.search(path.read_text("utf-8")) else ():
             if (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
                     and node.func.id in BUILT_BY_A_SESSION and name != SESSION):
                 yield f"{name}:{node.lineno}: {node.func.id} is built in {SESSION} only"

@@ -78,12 +78,13 @@ def spoken(where, text):
 def strings(text):
     """(line, string, whether it is a docstring) of each string of a module; {values} are X."""
     tree = ast.parse(text)
-    documented = {id(node.body[0].value) for node in ast.walk(tree)
+    nodes = list(ast.walk(tree))
+    documented = {id(node.body[0].value) for node in nodes
                   if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and node.body
                   and isinstance(node.body[0], ast.Expr)}
-    inside = {id(piece) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)
+    inside = {id(piece) for node in nodes if isinstance(node, ast.JoinedStr)
               for piece in node.values}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.JoinedStr):
             yield node.lineno, "".join(
                 piece.value if isinstance(piece, ast.Constant) else PLACEHOLDER

@@ -161,12 +161,14 @@ class _Problem:
         """One that fits most of the positions that have heights."""
         places, positions, std = (values[self.has_height] for values in (
             self.places, self.positions, self.horizontal_std))
-
-        def error(similarity: Similarity) -> float:
-            return _typical(np.linalg.norm(similarity(places) - positions, axis=1) / std)
-
-        fits = (fitted(places[rows], positions[rows]) for rows in _samples(rng, len(places), 3))
-        return min(filter(None, fits), key=error, default=None)
+        rows = _samples(rng, len(places), 3)
+        scales, rotations, shifts = _fits(places[rows], positions[rows])
+        if not len(scales):
+            return None
+        away = (scales[:, None, None] * (places @ rotations.swapaxes(1, 2)) + shifts[:, None]
+                - positions)
+        best = np.quantile(np.linalg.norm(away, axis=2) / std, MOST_RIGHT, axis=1).argmin()
+        return Similarity(float(scales[best]), rotations[best], shifts[best])
 
     def _deviations(self, similarity: Similarity) -> tuple[float, float]:
         """Robust standard deviations, along one axis of the ground and upwards, metres."""
@@ -263,13 +265,26 @@ def fitted(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similari
     -------
     None if they determine none.
     """
-    places, positions = source - source.mean(axis=0), target - target.mean(axis=0)
-    product = positions.T @ places
-    if np.linalg.matrix_rank(product, 1e-9 * np.linalg.norm(product)) < 2:
-        return None
-    rotation = scipy.spatial.transform.Rotation.align_vectors(positions, places)[0].as_matrix()
-    scale = float((positions * (places @ rotation.T)).sum() / (places**2).sum())
-    return Similarity(scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0))
+    scales, rotations, shifts = _fits(source[None], target[None])
+    return Similarity(float(scales[0]), rotations[0], shifts[0]) if len(scales) else None
+
+
+def _fits(source: NDArray[np.float64], target: NDArray[np.float64]
+          ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Scales [F], rotations [F, 3, 3] and translations [F, 3] of those of the similarities between
+    sets of points [S, N, 3] that these determine."""
+    places, positions = (points - points.mean(axis=1, keepdims=True) for points in (source, target))
+    product = positions.swapaxes(1, 2) @ places
+    usable = np.isfinite(product).all(axis=(1, 2))
+    left, values, right = np.linalg.svd(np.where(usable[:, None, None], product, 0))
+    usable &= values[:, 1] > 1e-9 * np.linalg.norm(product, axis=(1, 2))
+    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]  # no mirror
+    rotations = left @ right
+    scales = ((positions * (places @ rotations.swapaxes(1, 2))).sum(axis=(1, 2))
+              / np.maximum((places**2).sum(axis=(1, 2)), np.finfo(np.float64).tiny))
+    shifts = target.mean(axis=1) - scales[:, None] * np.einsum(
+        "sij,sj->si", rotations, source.mean(axis=1))
+    return scales[usable], rotations[usable], shifts[usable]
 
 
 def _samples(rng: np.random.Generator, count: int, size: int) -> NDArray[np.intp]:

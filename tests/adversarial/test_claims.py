@@ -146,6 +146,7 @@ def sog_members(folder, count=3):
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+@pytest.mark.one_in(2)
 def test_members_without_a_limit_of_memory(tmp_path, method):
     members = sog_members(tmp_path) | {"meta.json": bytes(PAYLOAD)}
     refused(read_model, lying(tmp_path / "a.sog", members, {"meta.json": 100}, method),

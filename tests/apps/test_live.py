@@ -96,7 +96,7 @@ def test_watching_changes_no_byte(item_device, city, tmp_path, monkeypatch, chan
 def test_a_run_is_shown_as_its_model_is_rendered(item_device, city, tmp_path):
     """So is its tree, without the model."""
     folder = RunFolder.create(tmp_path / "run")
-    train(city, options_of(iterations=40), item_device, folder)
+    train(city, options_of(iterations=12), item_device, folder)
     run = Run.open(folder.path)
     camera = city.views[5].camera.resized(*FRAME)
     middle = camera.cropped(30, 22, 32, 24)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rasterio
 
+from clsplat.apps import map as map_module
 from clsplat.apps.map import write_map
 from clsplat.apps.map_grid import ground_resolution, map_grid
 from clsplat.errors import InputError
@@ -43,6 +44,13 @@ def rasters(folder):
     with rasterio.open(folder / "orthophoto.tif") as colours, rasterio.open(
             folder / "surface.tif") as surface:
         return np.moveaxis(colours.read(), 0, -1), surface.read(1)
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Previews and reports take most of a map's time: those of `house` alone are drawn."""
+    monkeypatch.setattr(map_module, "write_preview", lambda file, *_: file.write(b""))
+    monkeypatch.setattr(map_module, "write_report", lambda path, *_: path.touch())
 
 
 def corner_pixels(pixels):
@@ -167,7 +175,7 @@ def test_the_grid_follows_the_photos():
         map_grid(scene, 1e-6)
 
 
-def test_the_command(tmp_path, monkeypatch):
+def test_the_command(tmp_path, monkeypatch, no_pictures):
     monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(None)))
     words = "map", "run", "-o", tmp_path / "map", "--resolution", 0.1
     result = clsplat_(*words)

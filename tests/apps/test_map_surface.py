@@ -19,7 +19,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.georeference import Residual
 from clsplat.io.georeference.crs import normal_crs, scene_crs
 from clsplat.options import TrainOptions
-from tests.apps.test_map import rasters, run_of
+from tests.apps.test_map import no_pictures, rasters, run_of  # noqa: F401  (a fixture)
 from tests.command_line import clsplat_
 from tests.data import ground_model as made
 
@@ -59,7 +59,7 @@ def with_holes():
     return Gaussians(rows, 0, made.OFFSET)
 
 
-def test_a_pit_is_left_out_and_a_true_hole_stays(item_device, tmp_path):
+def test_a_pit_is_left_out_and_a_true_hole_stays(item_device, tmp_path, no_pictures):  # noqa: F811
     model, scene = with_holes(), made.scene(None)
     points = model.positions[model.positions[:, 2] > -20].astype(float)
     scene = dataclasses.replace(scene, points=points, colours=np.zeros((len(points), 3), np.uint8))

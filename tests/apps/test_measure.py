@@ -13,7 +13,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.georeference.crs import on_ground
 from clsplat.io.georeference.geojson import read_features
-from tests.apps.test_map import run_of
+from tests.apps.test_map import no_pictures, run_of  # noqa: F401  (a fixture)
 from tests.command_line import clsplat_
 from tests.data import ground_model as made
 from tests.data.surfaces import (
@@ -85,14 +85,14 @@ def test_other_bases_are_level(surfaces, base, level):
 
 def test_holes_and_several_parts(surfaces):
     late, _, folder = surfaces
-    corner = MIDDLE + 20
-    shape = [[square(8), square(4)], [square(3, corner)]]
+    corner = MIDDLE + 21  # all borders are those of pixels
+    shape = [[square(7.5), square(4.5)], [square(3, corner)]]
     row, = measured(late, folder, feature("MultiPolygon", shape), base=0.0).record["features"]
-    assert abs(row["area"] - (16**2 - 8**2 + 6**2)) < 1e-6
+    assert abs(row["area"] - (15**2 - 9**2 + 6**2)) < 1e-6
     assert abs(row["volume"] / row["area"] / row["mean"] - 1) < 1e-3
-    whole, = measured(late, folder, feature("Polygon", [square(8)]), base=0.0).record["features"]
+    whole, = measured(late, folder, feature("Polygon", [square(7.5)]), base=0.0).record["features"]
     hole, part = (measured(late, folder, feature("Polygon", [ring]), base=0.0
-                           ).record["features"][0] for ring in (square(4), square(3, corner)))
+                           ).record["features"][0] for ring in (square(4.5), square(3, corner)))
     assert abs(row["volume"] - whole["volume"] + hole["volume"] - part["volume"]
                ) < 1e-3 * whole["volume"]
 
@@ -212,7 +212,8 @@ def test_the_command_writes_json_csv_and_a_table(surfaces, tmp_path):
     assert again.exit_code == 2 and "--overwrite" in again.output
 
 
-def test_a_run_is_drawn_first_and_the_folder_of_a_map_is_read(tmp_path, monkeypatch):
+def test_a_run_is_drawn_first_and_the_folder_of_a_map_is_read(
+        tmp_path, monkeypatch, no_pictures):  # noqa: F811
     monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene()))
     middle = (made.OFFSET + made.UTM.offset)[:2]
     shapes = write_features(tmp_path / "f.json", feature("Polygon", [square(5, middle)], "house"))

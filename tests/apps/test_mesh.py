@@ -172,10 +172,10 @@ def test_the_command(tmp_path, monkeypatch):
     scene = made.scene(made.UTM)
     monkeypatch.setattr(Run, "open", lambda path: run_of(path, scene))
     output = tmp_path / "house.ply"
-    words = "mesh", "run", "-o", output, "--voxel", 0.2
+    words = "mesh", "run", "-o", output, "--voxel", 0.4
     result = clsplat_(*words)
     assert result.exit_code == 0, result.output
-    assert "voxels of 0.2 m" in result.output and "EPSG:32633" in result.output
+    assert "voxels of 0.4 m" in result.output and "EPSG:32633" in result.output
     assert "open edges" in result.output and b"EPSG:32633" in output.read_bytes()[:1000]
     again = clsplat_(*words)
     assert again.exit_code == 2 and "--overwrite" in again.output

@@ -3,6 +3,8 @@
 import json
 import shutil
 import subprocess
+import sys
+from functools import cache
 
 import numpy as np
 import pytest
@@ -70,8 +72,9 @@ def test_the_finest_level_is_the_model(written):
     compare(whole, gaussians, BOUNDS[".sog"])
 
 
-def test_each_level_has_a_quarter_of_the_one_before(written):
+def test_each_level_has_a_quarter_of_the_one_before(written, monkeypatch):
     folder, gaussians, index = written
+    monkeypatch.setattr(sys.modules[__name__], "read_model", cache(read_model))
     leaves, counts = leaves_of(index["tree"]), index["counts"]
     assert index["lodLevels"] == len(counts) == 4 and sum(counts) == index["count"]
     for level in range(1, 4):

@@ -124,9 +124,9 @@ def test_what_a_driver_raises_is_one_line(float_device, monkeypatch):
     assert detail == "RuntimeError: clEnqueueNDRangeKernel failed: OUT_OF_RESOURCES"
 
 
-def test_check_covers_both_forms(float_device, monkeypatch):
+def test_check_covers_both_forms(item_device, monkeypatch):
     monkeypatch.setattr(selftest, "CHECKS", selftest.CHECKS[:1])
-    assert [(name, passed) for name, passed, _ in selftest.check(float_device)] == [
+    assert [(name, passed) for name, passed, _ in selftest.check(item_device)] == [
         (f"sort, gather and compaction, {form} form", True) for form in ("item", "group")]
 
 

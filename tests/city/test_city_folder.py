@@ -184,6 +184,7 @@ DAMAGED = ["", "[]", '{"number": "1"}', '{"fingerprint": 3}', '{"a": NaN}', "\xf
 @pytest.mark.parametrize("text", DAMAGED, ids=repr)
 @pytest.mark.parametrize("name", ["city.json", "blocks/000/block.json", "blocks/000/region.json",
                                   "blocks/000/exposures.json"])
+@pytest.mark.one_in(5)
 def test_damaged_files(city, scene, gaussians, name, text):
     if name.endswith("exposures.json") and text.startswith('{"n'):
         text = json.dumps({scene.views[3].name: [1.0] * 11})

@@ -43,6 +43,7 @@ def test_they_are_those_with_which_one_run_begins(folder, scene, item_device):
     assert folder.dense.stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_a_job_finds_the_same_ones_and_can_be_stopped(tmp_path, item_device):
     scene = read_scene(CITY)
     options = resolve({}, {**LONG, "downscale": 8.0, "pixels_per_gaussian": 4.0})

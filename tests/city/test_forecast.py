@@ -55,7 +55,7 @@ def test_blocks_that_share_a_device_fit_it_together(city, tmp_path):
     assert largest(8) == LEAST_GAUSSIANS
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("flags, numbers", [
     ((), (None, 1)), (("--workers", "4"), (4, 1)), (("--device", "cpu,cpu"), (None, 2)),
     (("--workers", "4", "--device", "cpu,cpu"), (4, 2)),

@@ -360,6 +360,7 @@ def test_unfit_workers_are_named_and_their_jobs_go_elsewhere(dask, tmp_path, cap
     assert any("not 0.0; install" in record.getMessage() for record in caplog.records)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
 def test_a_scheduler_that_does_not_answer(monkeypatch, address):
     pytest.importorskip("distributed")

@@ -4,6 +4,7 @@
 import shutil
 import signal
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -29,10 +30,14 @@ from tests.data.tiny_training import CITY
 LARGE, SMALL = a_card(2**36), a_card(2**20)
 
 
+@cache
+def sample():
+    return read_scene(CITY)
+
+
 def steps(folder, device=LARGE, given=(), tree=False, **options):
     """(Joint steps, exchanges, block steps) of a city in 2x1 blocks."""
-    scene = read_scene(CITY)
-    whole = City(CityFolder(folder), scene, resolve({}, options), device)
+    whole = City(CityFolder(folder), sample(), resolve({}, options), device)
     chosen = chosen_partition({"grid": (2, 1), **dict(given)}, whole, tree=tree)
     return chosen.joint_steps, chosen.exchanges, chosen.block_steps
 

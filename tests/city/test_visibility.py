@@ -34,7 +34,7 @@ def images(device, gaussians, scene, index, keep):
 
 
 @pytest.mark.parametrize("kept", [9, 4])
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 def test_changes_are_those_of_the_images(float_device, scene, gaussians, monkeypatch, kept):
     """The loss pads the images with zeros; what is kept stays on the device, if there is room."""
     monkeypatch.setattr(cut, "MOST_KEPT", kept)

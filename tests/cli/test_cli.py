@@ -315,6 +315,7 @@ def test_help_loads_nothing_heavy():
     assert result.stdout.rstrip().endswith("heavy: []"), result.stdout + result.stderr
 
 
+@pytest.mark.slow
 def test_a_training_imports_nothing_that_it_does_not_need(tmp_path):
     """From its start to its report: no other reader of scenes, and of scipy what finds neighbours.
     """

@@ -74,7 +74,7 @@ def test_a_schedule_in_one_file(package, tmp_path):
     (("train", "nothing", "--schedule", "sig", "-o", "run"), 2),
     (("plan", "nothing", "--schedule", "unknown"), 2),
     (("train", "nothing", "--levels", "2,1", "--schedule", "mcmc", "-o", "run"), 2)])
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(7)
 def test_no_command_imports_a_schedule_that_it_does_not_name(package, tmp_path, words, code):
     clsplat = package(RECORD + "import sys\nsys.exit(0)\n", "x = module:S\nsig = module:S")
     done = clsplat(*words)
@@ -115,6 +115,7 @@ PART_FAILS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", PART_FAILS)
 @pytest.mark.one_in(4)
 def test_what_fails_in_a_part_of_others_is_one_line_that_names_it(package, tmp_path, text):

@@ -6,7 +6,7 @@ import numpy as np
 import rasterio
 
 CRS, LEFT, TOP = "EPSG:32633", 400_000.0, 5_700_000.0
-PIXEL, SIDE = 0.1, 600  # metres; pixels along a side
+PIXEL, SIDE = 0.15, 400  # metres; pixels along a side
 MIDDLE = np.array([LEFT, TOP]) + PIXEL * SIDE / 2 * np.array([1, -1])
 RADIUS, HEIGHT = 12.0, 4.0  # of a heap
 

@@ -1,5 +1,7 @@
 """Masks of growth and pruning: which are chosen, how many, and with what probability."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,16 @@ from clsplat.options import resolve
 GRADIENT = np.array([3.0, 1.0, 2.0, 3.0, 0.5, np.nan, 2.0, 0.0])
 
 
+@cache  # several thousand draws use the same
+def options_of(threshold):
+    return resolve({}, {"grow_threshold": threshold})
+
+
 def a_round(gradient, threshold=1.0, scores=None, small=None, prunes=None, rng=None):
     nothing = np.zeros(len(gradient), bool)
-    options = resolve({}, {"grow_threshold": threshold})
     rows = {"log_scales": np.zeros((len(gradient), 3)), "opacity_logits": np.zeros(len(gradient))}
-    made = Round(1, rows, 1.0, options, False, nothing, lambda: gradient, lambda _: scores, None)
+    made = Round(1, rows, 1.0, options_of(threshold), False, nothing, lambda: gradient,
+                 lambda _: scores, None)
     made.rng, made.is_small = rng, small
     made.prunes = nothing if prunes is None else prunes
     return made

@@ -80,6 +80,7 @@ def test_a_spread_that_leads_out_on_one_side_is_enough(device):
 
 @pytest.mark.parametrize("contracted", [False, True])
 @pytest.mark.parametrize("poison", POISON)
+@pytest.mark.one_in(4)
 def test_a_bad_position_is_outside_and_hides_no_other(device, poison, contracted):
     scene = scene_at(0.0, 1.0)
     positions, log_scales = gaussians()

@@ -140,7 +140,7 @@ class Lazy:
 def test_lazy_rows_come_to_what_dense_adam_does_in_every_step(device, by_colour):
     """Over rounds of catching up, a growing degree and a position rate that falls; the rows may be
     looked at in between, which changes nothing."""
-    run, rounds = Lazy(device), 3 if by_colour else 1
+    run, rounds = Lazy(device), 2 if by_colour else 1
     for step in range(1, rounds * CATCH_UP_EVERY + 31):
         run.step({**USED, "sh_rest": 9} if step < 130 else USED, by_colour)
         if step in (1, 2, 57, CATCH_UP_EVERY - 1, CATCH_UP_EVERY, 212):

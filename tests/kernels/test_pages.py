@@ -44,12 +44,12 @@ def wanting(*pages, of=6):
 
 
 def test_rows_near_each_other_share_a_page():
-    positions = np.random.default_rng(0).uniform(size=(40 * PAGE_ROWS, 3))
+    positions = np.random.default_rng(0).uniform(size=(16 * PAGE_ROWS, 3))
     positions[7] = np.nan
     order = spatial_order(positions)
     assert np.array_equal(np.sort(order), np.arange(len(positions)))
-    extents = np.nanmax(positions[order].reshape(40, PAGE_ROWS, 3), axis=1) - np.nanmin(
-        positions[order].reshape(40, PAGE_ROWS, 3), axis=1)
+    extents = np.nanmax(positions[order].reshape(16, PAGE_ROWS, 3), axis=1) - np.nanmin(
+        positions[order].reshape(16, PAGE_ROWS, 3), axis=1)
     assert np.median(extents.max(axis=1)) < 0.6  # of 1
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clsplat.placement.alignment import aligned
+from clsplat.placement.alignment import _Problem, aligned, fitted
 from clsplat.placement.up import Vertical
 
 SCALE = 14.0  # metres in a unit of the reconstruction
@@ -83,3 +83,23 @@ def test_good_positions_count_more_than_bad_ones(flight):
 def test_positions_that_determine_nothing_align_nothing(positions):
     flight = Flight(0)
     assert aligned(flight.places[:len(positions)], positions, flight.up) is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_start_fits_those_that_are_right(seed):
+    flight = Flight(seed, noise=0)
+    wrong = flight.rng.permutation(36) < 9
+    flight.gps[wrong] += flight.rng.normal(0, 300, (9, 3))
+    problem = _Problem(flight.places, flight.gps, np.ones(36, bool), flight.up, np.ones((36, 3)),
+                       False)
+    start = problem.free_start(np.random.default_rng(seed))
+    assert np.allclose(start(flight.places)[~wrong], flight.gps[~wrong])
+
+
+def test_a_similarity_is_fitted_where_points_determine_one():
+    places = np.random.default_rng(0).normal(size=(5, 3))
+    target = 2.5 * places @ Rotation.random(random_state=1).as_matrix().T + (1, 2, 3)
+    assert np.allclose(fitted(places, target)(places), target)
+    assert np.linalg.det(fitted(places, target * (-1, 1, 1)).rotation) == pytest.approx(1)
+    for few in (np.outer([0, 1, 3], (1.0, 2, 3)), np.ones((4, 3)), places * np.nan):
+        assert fitted(few, few) is None

@@ -8,7 +8,8 @@ SURE, COARSEST, MOST_PASSES = 2, 4, 0.5
 
 def samples_of(brick, voxel):
     """float64[N, 3], world: the samples of a brick, z the fastest."""
-    return voxel * (CELLS * np.asarray(brick) + np.array(list(np.ndindex(*3 * [CELLS + 1]))))
+    steps = np.indices(3 * [CELLS + 1]).reshape(3, -1).T
+    return voxel * (CELLS * np.asarray(brick) + steps)
 
 
 def depth_at(depth, pixels, truncation):

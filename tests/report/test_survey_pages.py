@@ -70,6 +70,7 @@ def test_what_the_pages_say(pages):
     assert low < 0 and high > 0.3, "dots beyond the map are shown"
 
 
+@pytest.mark.slow
 def test_nothing_overlaps_or_leaves_the_paper(pages):
     for page in pages:
         paper = page.bbox

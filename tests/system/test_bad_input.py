@@ -106,7 +106,7 @@ def content(folder):
     return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("case", SCENES)
 def test_spoilt_scene(tmp_path, case):
     spoil, words = SCENES[case]
@@ -154,7 +154,7 @@ def test_overwriting_waits_until_all_is_in_order(healthy, finished):
     (("--levels", "4", "--levels", "1"),
      ("--levels: level 4", "12 x 9 pixels", "tile of 16", "give smaller --levels")),
 ])
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(9)
 def test_options_that_cannot_be_met(tmp_path, healthy, finished, words, naming):
     """Neither a new run is begun nor one that is there touched."""
     refused("train", healthy, "-o", tmp_path / "run", *TRAIN, *words, naming=naming)

@@ -96,6 +96,7 @@ def test_points_are_seen_where_the_reference_sees_them(float_device, flown):
 
 
 @pytest.mark.parametrize("views, blocks", [(400, 5), (1600, 11), (6000, 21)])
+@pytest.mark.one_in(3)
 def test_cities_grow_with_the_photos_at_the_same_pixel_and_overlap(views, blocks):
     size, pixel = (1152, 864), 0.03
     assert blocks_for(views, *size, pixel) == blocks

@@ -172,7 +172,7 @@ def by_area(level, count, iteration, unit=0.05):
     {}, {"levels": (5.0, 4.0, 3.0, 2.0, 1.0), "level_share": 0.9},
     {"schedule": "constant", "reset_every": 300, "densify_until": 30000},
     {"schedule": "taming", "reset_every": 170, "densify_until": 30000}], ids=str)
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(13)
 def test_a_run_never_ends_just_after_an_upheaval(step, seconds, options):
     """Reading a level's photos takes a tenth of the time, and steps get slower by up to 25 times
     from level to level."""

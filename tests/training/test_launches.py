@@ -11,7 +11,7 @@ from clsplat.training.loop import Training
 from clsplat.training.step import Step
 from tests.data.tiny_training import LEVELLED, STILL, options_of
 
-STEPS = 30
+STEPS = 20
 MOST = 20  # launches and fills of a step of the group form
 # exposures with vignetting, statistics for growth and harmonics from the second step
 # on; each further degree would be other programs with the same launches
@@ -56,7 +56,7 @@ def of_a_replay(found):
 
 @pytest.mark.parametrize("schedule, batch, item, group", [
     *((schedule, 1, 20, 16) for schedule in OURS), ("taming", 2, 64, 56)])
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(12)
 def test_a_step_of_every_schedule(float_device, city, tmp_path, counted, schedule, batch, item,
                                   group):
     options = {"levels": (1.0,), "reproject": "off"} if schedule == "sig" else {}

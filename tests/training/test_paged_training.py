@@ -101,6 +101,7 @@ def check_same(one, other):
 
 @pytest.mark.parametrize("engine, batch", [
     ("device", 1), ("coded", 1), pytest.param("device", 2, marks=pytest.mark.nightly)])
+@pytest.mark.one_in(6)
 def test_bytes_do_not_depend_on_the_room(float_device, monkeypatch, engine, batch):
     """Over steps without harmonics, rounds of catching up, growth, and looks at the model."""
     results, images, made_anew = [], [], []
@@ -130,9 +131,9 @@ def test_bytes_do_not_depend_on_the_room(float_device, monkeypatch, engine, batc
     assert results[0]["m.sh_rest"].any() and any(made_anew)
 
 
-def test_a_page_that_nobody_asked_for_is_fetched_after_all(float_device, monkeypatch):
+def test_a_page_that_nobody_asked_for_is_fetched_after_all(item_device, monkeypatch):
     """The frame fails and is repeated, with those that follow it."""
-    whole, paged = Run(float_device, monkeypatch, 0), Run(float_device, monkeypatch, 3)
+    whole, paged = Run(item_device, monkeypatch, 0), Run(item_device, monkeypatch, 3)
     look_ahead, room_made, repeated = paged.model.look_ahead, paged.step._make_room, []
     monkeypatch.setattr(
         paged.model, "look_ahead", lambda number, steps, upcoming, numbers: look_ahead(
@@ -145,17 +146,17 @@ def test_a_page_that_nobody_asked_for_is_fetched_after_all(float_device, monkeyp
     assert len(repeated) > 2  # the first one measures frames
 
 
-def test_pages_give_memory_back_for_frames(float_device, monkeypatch):
+def test_pages_give_memory_back_for_frames(item_device, monkeypatch):
     """Under a budget that frames exceed at first, with the same bytes."""
     results = []
     for bounded in (False, True):
         if bounded:
             monkeypatch.setattr(models, "GIVEN_SHARE", 0.01)
             monkeypatch.setattr(models, "FRAME_SHARE", 0.0)  # so that they are missing at first
-        run = Run(float_device, monkeypatch, 0, count=6 * COUNT)
+        run = Run(item_device, monkeypatch, 0, count=6 * COUNT)
         if bounded:
-            float_device.trim()
-            monkeypatch.setattr(float_device, "memory_limit", float_device.memory_bytes + 100_000)
+            item_device.trim()
+            monkeypatch.setattr(item_device, "memory_limit", item_device.memory_bytes + 100_000)
         run.take(12)
         results.append(run.arrays())
         assert (run.model.pages is not None) == bounded
@@ -163,27 +164,27 @@ def test_pages_give_memory_back_for_frames(float_device, monkeypatch):
     check_same(*results)
 
 
-def test_a_sum_goes_on_where_harmonics_are_paged_in_the_meantime(float_device, monkeypatch):
-    whole, paged = Run(float_device, monkeypatch, 0).model, Run(float_device, monkeypatch, 3).model
+def test_a_sum_goes_on_where_harmonics_are_paged_in_the_meantime(item_device, monkeypatch):
+    whole, paged = Run(item_device, monkeypatch, 0).model, Run(item_device, monkeypatch, 3).model
     for name in ("positions", "sh_rest"):
         total = paged.add_to(name, whole.add_to(name, None))
         assert np.array_equal(total, 2 * row_of_gaussians().rows[name])
         assert np.array_equal(paged.add_to(name, total), 3 * row_of_gaussians().rows[name])
 
 
-def test_harmonics_that_exceed_a_buffer_are_paged(float_device, monkeypatch):
-    whole = Run(float_device, monkeypatch, 0, "coded")
+def test_harmonics_that_exceed_a_buffer_are_paged(item_device, monkeypatch):
+    whole = Run(item_device, monkeypatch, 0, "coded")
     whole.take(9)
     expected = whole.arrays()
-    monkeypatch.setattr(float_device, "largest_buffer", 5 * 9 * 4 * PAGE_ROWS)  # five pages
-    paged = Run(float_device, monkeypatch, 0, "coded")
+    monkeypatch.setattr(item_device, "largest_buffer", 5 * 9 * 4 * PAGE_ROWS)  # five pages
+    paged = Run(item_device, monkeypatch, 0, "coded")
     paged.take(9)
     check_same(expected, paged.arrays())
     assert whole.model.pages is None and paged.model.pages.room == 5
 
 
-def test_a_view_of_too_many_pages_is_refused(float_device, monkeypatch):
-    run = Run(float_device, monkeypatch, 1)
+def test_a_view_of_too_many_pages_is_refused(item_device, monkeypatch):
+    run = Run(item_device, monkeypatch, 1)
     with pytest.raises(TooFewPages, match="gaussians, and there is room for the harmonics of"):
         run.take(VIEWS)
     assert run.image(3).any()  # what is only looked at comes page by page

@@ -90,6 +90,7 @@ def large(tmp_path_factory):
 
 
 @pytest.mark.parametrize("part", ["level", "window", "whole"])
+@pytest.mark.one_in(3)
 def test_no_photo_is_in_memory_beside_what_is_asked_for(large, monkeypatch, part):
     monkeypatch.setattr(resample, "BAND_BYTES", 1 << 17)
     camera = {"level": large.camera.reduced(10), "whole": large.camera,
