@@ -145,6 +145,7 @@ def sog_members(folder, count=3):
         return {name: archive.read(name) for name in archive.namelist()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 @pytest.mark.one_in(2)
 def test_members_without_a_limit_of_memory(tmp_path, method):

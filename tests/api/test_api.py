@@ -44,6 +44,7 @@ def blob(count=30, degree=1):
     return model
 
 
+@pytest.mark.slow
 def test_its_names_are_found_and_nothing_is_imported_before():
     code = ("import sys, clsplat\n"
             "assert not {'numpy', 'pyopencl', 'scipy'} & set(sys.modules), 'too early'\n"

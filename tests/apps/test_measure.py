@@ -212,6 +212,7 @@ def test_the_command_writes_json_csv_and_a_table(surfaces, tmp_path):
     assert again.exit_code == 2 and "--overwrite" in again.output
 
 
+@pytest.mark.slow
 def test_a_run_is_drawn_first_and_the_folder_of_a_map_is_read(
         tmp_path, monkeypatch, no_pictures):  # noqa: F811
     monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene()))

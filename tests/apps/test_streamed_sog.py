@@ -55,6 +55,7 @@ def part_of(folder, index, lod):
     return selected(chunk, rows)
 
 
+@pytest.mark.slow
 def test_the_finest_level_is_the_model(written):
     folder, gaussians, index = written
     leaves, found = leaves_of(index["tree"]), []

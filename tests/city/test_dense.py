@@ -30,6 +30,7 @@ def folder(tmp_path):
     return CityFolder(tmp_path)
 
 
+@pytest.mark.slow
 def test_they_are_those_with_which_one_run_begins(folder, scene, item_device):
     whole = City(folder, scene, resolve({}, {**LONG, "pixels_per_gaussian": 4.0}), item_device)
     find_dense_gaussians(whole)

@@ -119,6 +119,7 @@ def test_pixels_weigh_by_error_and_edges():
     assert not pixel_weights(np.full((3, 8, 9), 0.5), np.zeros((3, 8, 9), np.uint8)).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [NAME, "opacities"])
 def test_blending_weights_share_what_a_view_covers(double_device, monkeypatch, name):
     """Of all gaussians in two views together: twice the opacity of one, summed over its pixels."""

@@ -45,6 +45,7 @@ def words(figure):
     return [text.get_text() for text in figure.texts]
 
 
+@pytest.mark.slow
 def test_what_the_pages_say(pages):
     first, *_, surface, coverage = pages
     said = " ".join(words(first))

@@ -68,6 +68,7 @@ def test_photos_that_do_not_fit_the_device_together(item_device, scene, photos, 
     assert done == [1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.slow
 def test_the_device_has_work_while_the_host_waits(item_device, scene, photos, monkeypatch):
     """The next sweep is launched before the host waits for one."""
     events = []

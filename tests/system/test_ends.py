@@ -25,6 +25,7 @@ def broken(error):
     return call
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment, what", [("write_report", "the report"),
                                           ("pictures_of", "the pictures of its report")])
 def test_a_report_that_cannot_be_drawn_costs_nothing_else(
@@ -41,6 +42,7 @@ def test_a_report_that_cannot_be_drawn_costs_nothing_else(
     assert len(records(run, "eval")) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment, error", [
     ("evaluate_views", KeyboardInterrupt()), ("evaluate_views", InputError("a photo is gone")),
     ("write_report", KeyboardInterrupt()), ("save_model", KeyboardInterrupt())], ids=repr)

@@ -67,6 +67,7 @@ def judged(out, *words):
 SMALL = ("-n", "100", "--offsets", "0,3", "--seeds", "2", "--schedules", "sig,constant,mcmc")
 
 
+@pytest.mark.slow
 def test_every_set_division_seed_and_schedule_once(tmp_path, sets, trainings, capsys):
     words = (sets, *SMALL, "--", "--exposure", "on", "--device", "cpu")
     _, page = judged(tmp_path, *words)

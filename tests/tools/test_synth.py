@@ -72,6 +72,7 @@ def test_samples_lie_on_surfaces_in_proportion_to_area(solids):
     assert (points[:, 2] == 0).mean() == pytest.approx(ground / total, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("position, forward", [
     ((3, -16, 21), (0.1, 0.7, -1)),  # from above
     ((2, -11, 2), (-1, -0.2, -0.1)),  # down a street: solids behind, beside and across its plane

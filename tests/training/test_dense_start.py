@@ -62,6 +62,7 @@ def test_photos_that_do_not_overlap(city):
         chosen(nothing, init="dense")
 
 
+@pytest.mark.slow
 @pytest.mark.one_in(2)
 def test_initial_gaussians_are_as_many_as_were_planned(city, float_device, monkeypatch):
     options = resolve({}, {"iterations": 700, "pixels_per_gaussian": 40.0})

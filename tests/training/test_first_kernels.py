@@ -11,6 +11,7 @@ from clsplat.io.scenes.read import read_scene
 from tests.data.tiny_training import CITY, trained
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["item", "group"])
 @pytest.mark.parametrize("options, others", [
     ({}, set()), ({"exposure": "on", "vignetting": "on"}, {"exposure.cl"}),

@@ -29,6 +29,7 @@ def test_every_half_minute_but_not_for_most_of_the_time(elapsed, took, gaussians
     assert Training._saves(training) == saves
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every, seconds, steps", [
     ("auto", 1e9, [12]), ("auto", 0.0, list(range(1, 13))), (5, 0.0, [5, 10, 12]), (0, 0.0, [12])])
 def test_after_which_steps(item_device, tmp_path, monkeypatch, every, seconds, steps):

@@ -99,6 +99,7 @@ def check_same(one, other):
         assert np.array_equal(values, other[name]), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine, batch", [
     ("device", 1), ("coded", 1), pytest.param("device", 2, marks=pytest.mark.nightly)])
 @pytest.mark.one_in(6)
@@ -131,6 +132,7 @@ def test_bytes_do_not_depend_on_the_room(float_device, monkeypatch, engine, batc
     assert results[0]["m.sh_rest"].any() and any(made_anew)
 
 
+@pytest.mark.slow
 def test_a_page_that_nobody_asked_for_is_fetched_after_all(item_device, monkeypatch):
     """The frame fails and is repeated, with those that follow it."""
     whole, paged = Run(item_device, monkeypatch, 0), Run(item_device, monkeypatch, 3)
@@ -146,6 +148,7 @@ def test_a_page_that_nobody_asked_for_is_fetched_after_all(item_device, monkeypa
     assert len(repeated) > 2  # the first one measures frames
 
 
+@pytest.mark.slow
 def test_pages_give_memory_back_for_frames(item_device, monkeypatch):
     """Under a budget that frames exceed at first, with the same bytes."""
     results = []

@@ -234,6 +234,7 @@ def test_model_and_renders(run):
     refused(lambda: run.picture("../../../0001.jpg"), "0001.jpg")
 
 
+@pytest.mark.slow
 def test_every_flipped_byte_is_detected_or_harmless(run):
     run.save_checkpoint(ARRAYS, STATE)
     path = run.path / "checkpoint.npz"
