@@ -8,17 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clsplat.config.option import (
-    AUTO,
-    MOST_STEPS,
-    SHOWN,
-    Option,
-    checked,
-    is_auto,
-    option,
-    options_of,
-    shown_name,
-)
+from clsplat.config.option import AUTO, MOST_STEPS, SHOWN, Option, checked, is_auto, option, options_of, shown_name
 from clsplat.densify.options import GrowthOptions
 from clsplat.errors import InputError
 from clsplat.loss import options as loss

@@ -11,8 +11,8 @@ from importlib.machinery import SourceFileLoader
 import pytest
 
 import clsplat
+from tests.layout import ROOT
 from tests.shared_kernels import SharedKernels
-from tests.test_layout import ROOT
 
 CONFIG = configparser.ConfigParser()
 CONFIG.read(ROOT / "setup.cfg", encoding="utf-8")

@@ -7,7 +7,7 @@ import pytest
 
 from clsplat.constants import SHARED
 from clsplat.device import Kernel, items
-from tests.test_layout import ROOT, sources
+from tests.layout import ROOT, sources
 
 KERNELS = {name: path.read_text() for name, path in sources(ROOT, "cl", suffixes=(".cl", ".h"))}
 CODE = {name: re.sub("//.*", "", text) for name, text in KERNELS.items()}

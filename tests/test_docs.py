@@ -8,7 +8,7 @@ import pytest
 import clsplat
 from clsplat.cli.main import main
 from tests.data.tiny_training import CITY
-from tests.test_layout import ROOT
+from tests.layout import ROOT
 from tests.test_sentences import package_text
 
 DOCS = ROOT / "docs"

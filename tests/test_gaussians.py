@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.gaussians import (
-    Gaussians,
-    mean_inverse_distance,
-    mean_neighbour_distance,
-    neighbour_distance,
-)
+from clsplat.gaussians import Gaussians, mean_inverse_distance, mean_neighbour_distance, neighbour_distance
 
 POINTS = np.random.default_rng(2).normal(size=(60, 3)) * [9, 3, 0.1]
 

@@ -14,8 +14,8 @@ from clsplat.config.option import checked, expected, flag_name, shown_name
 from clsplat.options import TrainOptions, from_toml, resolve, seconds_of, serves
 from clsplat.schedule.registry import OURS, schedule_of
 from clsplat.schedule.sig_options import PAPER, RELEASE
+from tests.layout import ROOT
 from tests.refusals import refused
-from tests.test_layout import ROOT
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
 OF_SIG = {"average": 0.0, "opacity_weight": 0.0}  # what others leave out

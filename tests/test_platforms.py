@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from clsplat.device import runtimes
-from tests.test_layout import ROOT
+from tests.layout import ROOT
 from tools.synth.__main__ import synthesise
 
 # not in Windows' standard library; macOS has all but the last two

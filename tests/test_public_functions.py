@@ -4,7 +4,7 @@ import ast
 
 import pytest
 
-from tests.test_layout import ROOT, parsed, sources
+from tests.layout import ROOT, parsed, sources
 
 
 def public_functions(tree, inside=()):

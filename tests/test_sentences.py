@@ -17,7 +17,7 @@ import pytest
 
 from clsplat.cli.main import main
 from clsplat.options import TrainOptions
-from tests.test_layout import ROOT, sources
+from tests.layout import ROOT, sources
 
 try:
     import tomllib

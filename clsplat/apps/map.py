@@ -38,12 +38,7 @@ from clsplat.apps.terrain import check_width, write_terrain
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
-from clsplat.evaluation.survey import (
-    Photographs,
-    photographs_of,
-    survey_of,
-    vertical_reference,
-)
+from clsplat.evaluation.survey import Photographs, photographs_of, survey_of, vertical_reference
 from clsplat.georeference import AXES, CHECK, CONTROL
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder

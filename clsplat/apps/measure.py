@@ -12,14 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from clsplat.apps.differences import (
-    DETECTION,
-    difference_of,
-    heights_at,
-    middles,
-    nmad,
-    noise_of,
-)
+from clsplat.apps.differences import DETECTION, difference_of, heights_at, middles, nmad, noise_of
 from clsplat.apps.geotiff import Surface, coverage, read_surface
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing

@@ -7,14 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from clsplat.cities.city import Shown
-from clsplat.cities.exchange import (
-    BlockRun,
-    exchange,
-    lacking_blocks,
-    other_blocks,
-    owned_at,
-    remove_passed,
-)
+from clsplat.cities.exchange import BlockRun, exchange, lacking_blocks, other_blocks, owned_at, remove_passed
 from clsplat.cities.jobs import Job
 from clsplat.cities.scene import BlockScene
 from clsplat.cities.workers import Outcome, Workers

@@ -8,13 +8,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.evaluation.survey import (
-    Survey,
-    record_of,
-    spreads,
-    survey_of,
-    vertical_reference,
-)
+from clsplat.evaluation.survey import Survey, record_of, spreads, survey_of, vertical_reference
 from clsplat.georeference import CHECK, CONTROL, LEFT_OUT
 from clsplat.io.photos.images import encode_image
 from clsplat.report.page import Table, folded, headed, warning

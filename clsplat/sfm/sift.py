@@ -6,14 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import (
-    DESCRIPTOR_SIZE,
-    NO_ANGLE,
-    SIFT_LEVELS,
-    SIFT_PADDING,
-    SIFT_SCALES,
-    SIFT_SIGMA,
-)
+from clsplat.constants import DESCRIPTOR_SIZE, NO_ANGLE, SIFT_LEVELS, SIFT_PADDING, SIFT_SCALES, SIFT_SIGMA
 from clsplat.device import Array, Device, Forms, Kernel, each, groups
 
 PHOTO_SIGMA = 0.5  # pixels, by which a photo is blurred; as in COLMAP, also an enlarged one

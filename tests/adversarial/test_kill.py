@@ -10,16 +10,7 @@ import pytest
 
 from clsplat.cli.train import resumed_options
 from clsplat.io.runs.run import RunFolder
-from tests.data.tiny_training import (
-    CITY,
-    LEVELLED,
-    ROOT,
-    flags,
-    model_digest,
-    records,
-    resume,
-    trained,
-)
+from tests.data.tiny_training import CITY, LEVELLED, ROOT, flags, model_digest, records, resume, trained
 from tests.system.test_resume import history
 
 pytestmark = pytest.mark.nightly  # tests/system/test_resume.py kills a run once

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.evaluation.held_out_responses import (
-    _interpolated,
-    _weight,
-    predicted_responses,
-)
+from clsplat.evaluation.held_out_responses import _interpolated, _weight, predicted_responses
 from clsplat.response import Response
 from clsplat.scene import View
 

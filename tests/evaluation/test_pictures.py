@@ -9,14 +9,7 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.evaluation import views
-from clsplat.evaluation.pictures import (
-    COLOURS,
-    LARGEST_ERROR,
-    Pictures,
-    chosen_views,
-    error_map,
-    shown_view,
-)
+from clsplat.evaluation.pictures import COLOURS, LARGEST_ERROR, Pictures, chosen_views, error_map, shown_view
 from clsplat.io.photos.images import read_image, write_image
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.run import write_report

@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.constants import (
-    CATCH_UP_EVERY,
-    COUNT_FAILED,
-    LACKS_PAGE,
-    PAGE_ABSENT,
-    PAGE_ROWS,
-)
+from clsplat.constants import CATCH_UP_EVERY, COUNT_FAILED, LACKS_PAGE, PAGE_ABSENT, PAGE_ROWS
 from clsplat.errors import InputError, TooFewPages
 from clsplat.optimise.page_store import PageStore, spatial_order
 from clsplat.optimise.pages import Pages

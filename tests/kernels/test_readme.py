@@ -4,7 +4,7 @@ its table. Lines of kernels are short."""
 import importlib
 
 from clsplat.device import Either, Kernel
-from tests.test_layout import ROOT, families, homes
+from tests.layout import ROOT, families, homes
 
 
 def table():

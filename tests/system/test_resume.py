@@ -17,15 +17,7 @@ from clsplat.training.parts import image_term
 from clsplat.training.step import Step
 from tests.command_line import clsplat_
 from tests.data import tiny_training
-from tests.data.tiny_training import (
-    LEVELLED,
-    model_digest,
-    options_of,
-    records,
-    resume,
-    resumed,
-    trained,
-)
+from tests.data.tiny_training import LEVELLED, model_digest, options_of, records, resume, resumed, trained
 from tests.signals import listen, needs_signals
 
 TIMES = ("train_seconds", "wall_seconds", "memory_bytes", "peak_bytes")

@@ -22,10 +22,7 @@ from clsplat.training.parts import exposures
 from clsplat.training.parts.exposures import SAMPLED_PHOTOS
 from clsplat.training.photos import SMALL_SIDE, Thumbnails
 from clsplat.training.start import prepare as module
-from clsplat.training.start.prepare import (
-    find_decisions,
-    smallest_size,
-)
+from clsplat.training.start.prepare import find_decisions, smallest_size
 from tests.data.tiny_training import CITY
 
 

@@ -13,14 +13,7 @@ from clsplat.io.scenes.read import read_scene
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
 from clsplat.training.parts import outlier_masks
-from clsplat.training.parts.outlier_masks import (
-    ObservedView,
-    _outliers,
-    _residuals,
-    find_outliers,
-    resampled,
-    spread,
-)
+from clsplat.training.parts.outlier_masks import ObservedView, _outliers, _residuals, find_outliers, resampled, spread
 from clsplat.training.photos import Photos, photo_array
 from tests.data.tiny_training import CITY, model_digest, records, resumed, trained
 

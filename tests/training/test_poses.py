@@ -11,12 +11,7 @@ from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import read_poses
 from clsplat.optimise.pose import WARM_UP
 from clsplat.options import resolve
-from clsplat.placement.corrections import (
-    Correction,
-    correction_between,
-    typical_depth,
-    without_common_motion,
-)
+from clsplat.placement.corrections import Correction, correction_between, typical_depth, without_common_motion
 from tests.data.tiny_training import STILL, options_of, trained
 
 FOCAL = 69.3  # pixels, of the city at a quarter of its size

@@ -22,16 +22,7 @@ import numpy as np
 
 from clsplat.io.runs.run import RunFolder
 from clsplat.report.page import Table
-from tools.studies.study import (
-    cell,
-    flags_after,
-    keep,
-    keeps,
-    markdown,
-    outermost,
-    refuse,
-    timed_training,
-)
+from tools.studies.study import cell, flags_after, keep, keeps, markdown, outermost, refuse, timed_training
 
 OURS = "clsplat"
 SCORES = "cc_psnr", "psnr", "ssim"

@@ -23,14 +23,7 @@ from clsplat.io.fields import number
 from clsplat.io.folders import new_folder
 from clsplat.io.models.ply import START, start_of, write_ply
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
-from clsplat.io.records import (
-    FORMAT_KEY,
-    digest_of,
-    object_of,
-    read_object,
-    with_format,
-    write_object,
-)
+from clsplat.io.records import FORMAT_KEY, digest_of, object_of, read_object, with_format, write_object
 from clsplat.io.regular import read_regular
 from clsplat.io.runs.run import CITY, FILES, RunFolder, write_exposures
 from clsplat.io.scenes.write import link_again, write_scene

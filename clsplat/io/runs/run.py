@@ -22,14 +22,7 @@ from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.models.ply import read_ply, write_ply
 from clsplat.io.npz import read_npz, state_array, state_of, write_npz
 from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
-from clsplat.io.records import (
-    check_format,
-    object_of,
-    plain,
-    read_object,
-    with_format,
-    write_object,
-)
+from clsplat.io.records import check_format, object_of, plain, read_object, with_format, write_object
 from clsplat.io.regular import read_regular
 from clsplat.io.runs.origin import origin, recorded_scene, scene_record
 from clsplat.placement.corrections import Correction

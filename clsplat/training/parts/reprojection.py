@@ -11,16 +11,7 @@ from clsplat.covisibility.source_views import choose_source_views
 from clsplat.errors import InputError
 from clsplat.loss.options import ReprojectOptions
 from clsplat.loss.reproject import pack_pairs, reproject
-from clsplat.training.part import (
-    Decision,
-    Inputs,
-    Now,
-    Part,
-    State,
-    Survey,
-    TrainingSample,
-    ViewPass,
-)
+from clsplat.training.part import Decision, Inputs, Now, Part, State, Survey, TrainingSample, ViewPass
 from clsplat.training.parts.exposures import PhotoResponses
 
 if TYPE_CHECKING:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from clsplat.apps.measure import measure
 from clsplat.camera import Camera
@@ -23,16 +22,25 @@ from clsplat.io.georeference.files import read_georeference, write_georeference,
 from clsplat.io.georeference.geojson import read_features
 from clsplat.io.models.formats import read_model, write_model
 from clsplat.io.models.ply import read_ply, write_ply
-from clsplat.io.photos.images import image_size, read_image, write_image
 from clsplat.io.photos.metadata import read_metadata
 from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import from_toml, resolve
+from tests.adversarial.fuzz.photos import (
+    DNGS,
+    HEICS,
+    decoded,
+    finite,
+    made_decoded,
+    made_images,
+    made_with_profiles,
+    numbered,
+    read_pixels,
+)
 from tests.data import layouts, projects, surfaces
 from tests.data.decoded_photos import write_dng, write_heic
 from tests.data.tiny_model import reconstruction, write_scene
 from tests.io.photos.test_metadata import GPS, photo
-from tests.io.photos.test_profiles import COLOURS, SPACES
 
 
 @dataclass(frozen=True)
@@ -84,13 +92,6 @@ def check(gaussians):
     for values in gaussians.rows.values():
         assert values.dtype in (np.float32, np.float64) and len(values) == gaussians.count
         assert np.isfinite(values).all()
-
-def numbered(folder, items):
-    """(a folder of its own, made, item) of each."""
-    for number, item in enumerate(items):
-        (folder / str(number)).mkdir()
-        yield folder / str(number), item
-
 
 PLACE = Georeference("EPSG:32632", (5e5, 5.3e6, 200.0), "made", 0.1)
 
@@ -146,49 +147,6 @@ def _ply(folder):
     check(read_ply(folder / "model.ply"))
 
 
-def _made_images(folder):
-    noise = np.random.default_rng(0).integers(0, 256, (24, 32, 4), dtype=np.uint8)
-    for seed, (name, channels) in numbered(
-            folder, (("a.jpg", 3), ("a.png", 3), ("a.png", 4), ("a.png", 1), ("a.jpg", 1))):
-        write_image(seed / name, noise[..., :channels], quality=60)
-        (seed / name).rename(seed / "image")  # what it is must be told from its bytes
-        yield seed
-
-
-def _made_with_profiles(folder):
-    for seed, icc in numbered(folder, SPACES.values()):
-        Image.fromarray(COLOURS).save(seed / "image", "WEBP", lossless=True, icc_profile=icc)
-        yield seed
-
-
-def _made_decoded(write, name, *photos):
-    def make(folder):
-        for seed, arguments in numbered(folder, photos):
-            write(seed / name, *arguments)
-            yield seed
-    return make
-
-
-def _decoded(name):
-    def read(folder):
-        data = read_metadata(folder / name)
-        assert read_image(folder / name).shape == (data.height, data.width, 3)
-        _finite(data.latitude, data.longitude, data.altitude, data.focal_pixels)
-    return read
-
-
-LIGHT = np.tile(COLOURS / 255.0, (2, 2, 1))  # LibRaw refuses smaller ones
-HEICS = ((COLOURS,), (np.dstack([COLOURS, COLOURS[..., 0]]), 6), (COLOURS[..., 0], 3))
-DNGS = ((LIGHT,), (LIGHT, (0.4, 1.0, 0.6), 6), (LIGHT, (0.5, 1.0, 0.8), 3, b"RO"))
-
-
-def _image(folder):
-    width, height = image_size(folder / "image")
-    pixels = read_image(folder / "image")
-    assert pixels.shape == (height, width, 3) and pixels.dtype == np.uint8
-    assert read_image((folder / "image").read_bytes(), (8, 6)).shape == (6, 8, 3)
-
-
 def _made_transforms(folder):
     scene = read_scene(write_scene(folder / "made"))
     whole, angled, parted = (folder / kind for kind in ("whole", "angled", "parted"))
@@ -225,10 +183,6 @@ EXIF = {**GPS, "Exif:FocalLength": 8.8, "Exif:FocalLengthIn35mmFilm": 24, "Make"
         "Model": "FC6310", "DateTime": "2020:01:02 03:04:05", "Orientation": 6}
 
 
-def _finite(*values):
-    assert all(value is None or np.isfinite(value).all() for value in values)
-
-
 def _metadata(folder):
     for seed, (exif, xmp) in numbered(folder, ((EXIF, DJI), (EXIF, None), ({}, DJI))):
         photo(seed / "photo.jpg", exif, xmp, size=(24, 16))
@@ -237,7 +191,7 @@ def _metadata(folder):
 
 def _read_metadata(folder):
     data = read_metadata(folder / "photo.jpg")
-    _finite(data.latitude, data.longitude, data.altitude, data.gps_std, data.focal_pixels,
+    finite(data.latitude, data.longitude, data.altitude, data.gps_std, data.focal_pixels,
             data.gimbal_pitch)
     assert data.width > 0 and data.height > 0
     assert data.latitude is None or abs(data.latitude) <= 90
@@ -254,12 +208,12 @@ def _georeferences(folder):
 def _georeference(folder):
     place, orientation = read_georeference(folder), places.read_orientation(folder)
     if place is not None:
-        _finite(place.offset, place.residual)
+        finite(place.offset, place.residual)
     if orientation is not None:
         up, view = orientation
         assert np.linalg.norm(up) > 0.99
         if view is not None:
-            _finite(view.position, view.focal, view.centre)
+            finite(view.position, view.focal, view.centre)
 
 
 def _control_points(folder):
@@ -276,7 +230,7 @@ def _read_control_points(folder):
     read = read_control_points(folder / "gcp.txt")
     assert read.crs and read.points
     for point in read.points:
-        _finite(point.position, *(mark[1:] for mark in point.marks))
+        finite(point.position, *(mark[1:] for mark in point.marks))
 
 
 def _measured(folder):
@@ -336,10 +290,10 @@ READERS = {
     "transforms": Reader(_made_transforms, _scene, text=True, files=(".json", ".ply")),
     "opensfm": Reader(_opensfm, _scene, text=True, files=(".json", ".csv")),
     "metashape": Reader(_metashape, _scene, text=True, files=(".xml",)),
-    "image": Reader(_made_images, _image),
-    "profile": Reader(_made_with_profiles, _image),
-    "heic": Reader(_made_decoded(write_heic, "a.heic", *HEICS), _decoded("a.heic")),
-    "raw": Reader(_made_decoded(write_dng, "a.dng", *DNGS), _decoded("a.dng")),
+    "image": Reader(made_images, read_pixels),
+    "profile": Reader(made_with_profiles, read_pixels),
+    "heic": Reader(made_decoded(write_heic, "a.heic", *HEICS), decoded("a.heic")),
+    "raw": Reader(made_decoded(write_dng, "a.dng", *DNGS), decoded("a.dng")),
     "metadata": Reader(_metadata, _read_metadata, files=(".jpg",)),
     "ply": Reader(_made_plys, _ply, files=(".ply",)),
     **{suffix[1:]: _model(suffix) for suffix in (
